@@ -120,18 +120,20 @@ def main() -> None:
     model.learn(options.steps, reset_num_timesteps=False)
     steps = model.num_timesteps - before
     seconds = model.collecting + model.learning
-    ours = TimedTraining(options.envs).run(seconds / 4)
+    our_training = TimedTraining(options.envs).run(seconds / 4)
 
     print(f"{'control steps/s':18}{'Stable-Baselines3':>20}{'ours':>12}")
     print(f"{'environments':18}{steps / envs.seconds:20,.0f}")
     print(f"{'policy and buffer':18}{steps / (model.collecting - envs.seconds):20,.0f}")
     rows = {
-        "collecting, both": (model.collecting, ours.collecting),
-        "learning": (model.learning, ours.learning),
-        "training, all": (seconds, ours.seconds),
+        "collecting, both": (model.collecting, our_training.collecting),
+        "learning": (model.learning, our_training.learning),
+        "training, all": (seconds, our_training.seconds),
     }
-    for name, (theirs, own) in rows.items():
-        print(f"{name:18}{steps / theirs:20,.0f}{ours.steps / own:12,.0f}")
+    for name, (baseline_seconds, our_seconds) in rows.items():
+        print(
+            f"{name:18}{steps / baseline_seconds:20,.0f}{our_training.steps / our_seconds:12,.0f}"
+        )
 
 
 if __name__ == "__main__":

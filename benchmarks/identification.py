@@ -56,52 +56,52 @@ CASES = {
 }
 
 
-def record_log(quadruped: Quadruped, known: Known, seconds: float) -> Log:
+def record_log(quadruped: Quadruped, setup: Known, seconds: float) -> Log:
     """Simulate a robot on a stand that follows the targets of `make_targets`; return its log.
 
-    MuJoCo C simulates the `known` robot for `seconds`.
+    MuJoCo C simulates the robot of `setup` for `seconds`.
     """
     spec = quadruped.spec.copy()
     spec.delete(spec.joints[0])
     spec.delete(spec.keys[0])
     spec.option.timestep = DT
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    spec.option.gravity = [9.81 * np.sin(known.tilt), 0.0, -9.81 * np.cos(known.tilt)]
+    spec.option.gravity = [9.81 * np.sin(setup.tilt), 0.0, -9.81 * np.cos(setup.tilt)]
     for index, name in enumerate(quadruped.joints):
         joint = spec.joint(name)
-        joint.armature, joint.frictionloss = known.armature[index % 3], 0.0
-        joint.damping[0] = known.damping[index % 3]
+        joint.armature, joint.frictionloss = setup.armature[index % 3], 0.0
+        joint.damping[0] = setup.damping[index % 3]
     model = spec.compile()
     legs = model.jnt_bodyid
-    model.body_mass[legs] *= known.legs
-    model.body_inertia[legs] *= known.legs
+    model.body_mass[legs] *= setup.legs
+    model.body_inertia[legs] *= setup.legs
     data = mujoco.MjData(model)
     mujoco.mj_setConst(model, data)
     places = [model.joint(name).qposadr[0] for name in quadruped.joints]
     times, targets = make_targets(quadruped)
-    offset = np.tile(known.offset, 4)
-    data.qpos[places] = targets[0] - offset * known.shared
-    friction, angles = np.tile(known.friction, 4), []
+    offset = np.tile(setup.offset, 4)
+    data.qpos[places] = targets[0] - offset * setup.shared
+    friction, angles = np.tile(setup.friction, 4), []
     for step in range(round(seconds / DT)):
         q, qd = data.qpos[places], data.qvel[places]
         if step % EVERY == 0:
             angles.append(q + offset)
-        target = targets[max(int((data.time - known.delay) / times[1] + 1e-6), 0)]
-        regulated = q + offset if known.shared else q
-        torque = known.kp * (target - regulated) - known.kd * qd
-        data.qfrc_applied[places] = torque - friction * np.tanh(qd / known.friction_speed)
+        target = targets[max(int((data.time - setup.delay) / times[1] + 1e-6), 0)]
+        regulated = q + offset if setup.shared else q
+        torque = setup.kp * (target - regulated) - setup.kd * qd
+        data.qfrc_applied[places] = torque - friction * np.tanh(qd / setup.friction_speed)
         mujoco.mj_step(model, data)
     measured = np.array(angles)
-    measured += known.noise * np.random.default_rng(1).standard_normal(measured.shape)
+    measured += setup.noise * np.random.default_rng(1).standard_normal(measured.shape)
     rows = slice(len(measured))
     return Log(times[rows], measured, times[rows], targets[rows])
 
 
 def print_case(case: str, quadruped: Quadruped, seconds: float) -> None:
     """Simulate a log of a case, `seconds` long, fit it, and print the errors of what was found."""
-    known = CASES[case]
-    config = IdentifyConfig(Path("made in MuJoCo C"), kp=known.kp, kd=known.kd)
-    log = record_log(quadruped, known, seconds)
+    setup = CASES[case]
+    config = IdentifyConfig(Path("made in MuJoCo C"), kp=setup.kp, kd=setup.kd)
+    log = record_log(quadruped, setup, seconds)
     fit = fit_log(log, quadruped, config)
     residual = np.sqrt(np.mean((fit.after - log.position)[fit.held_out] ** 2))
     print(f"{case}: {1e3 * residual:.2f} mrad left of the part that is held out")
@@ -110,14 +110,14 @@ def print_case(case: str, quadruped: Quadruped, seconds: float) -> None:
         if value.name in OFFSETS:
             offsets += [value] * (value.name == "offset")
             continue
-        constants = np.ravel(getattr(known, value.name))
+        constants = np.ravel(getattr(setup, value.name))
         constant = constants[value.joints[0] if value.name in OF_URDF else 0]
-        error = 100 * (value.found / constant - 1)
+        error = 100 * (value.estimate / constant - 1)
         interval = 100 * value.interval / constant
         name = f"{value.name}, {label_joints(value, quadruped)}"
-        figures = f"{constant:10.4g}{value.found:10.4g}{error:+8.1f} % ± {interval:.1f}"
+        figures = f"{constant:10.4g}{value.estimate:10.4g}{error:+8.1f} % ± {interval:.1f}"
         print(f"  {name:22}{figures}", flush=True)
-    errors = [1e3 * (v.found - known.offset[v.joints[0] % 3]) for v in offsets]
+    errors = [1e3 * (v.estimate - setup.offset[v.joints[0] % 3]) for v in offsets]
     interval = 1e3 * max(value.interval for value in offsets)
     print(f"  offsets: {max(errors, key=abs):+.2f} mrad at worst ± {interval:.2f}", flush=True)
 

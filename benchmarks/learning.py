@@ -75,10 +75,10 @@ def main() -> None:
         print(f"{name}: {count_cores() * 1e6 / medians['training']:,.0f} training steps/s")
         for part, cost in medians.items():
             print(f"  {part:14}{cost:7.1f} us per control step and core")
-    ours = costs["this code"]
-    print(f"physics alone / training    {np.median(ours[:, 3] / ours[:, 0]):.2f}")
+    our_costs = costs["this code"]
+    print(f"physics alone / training    {np.median(our_costs[:, 3] / our_costs[:, 0]):.2f}")
     if options.against:
-        ratio = np.median(costs[options.against][:, 0] / ours[:, 0])
+        ratio = np.median(costs[options.against][:, 0] / our_costs[:, 0])
         print(f"training steps/s            {ratio:.2f} x {options.against}")
 
 

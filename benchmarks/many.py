@@ -42,7 +42,9 @@ def time_trainings(count: int, steps: int, config: PlaceConfig) -> float:
             jobs.append(Job(fix_sizes(task, config), get_steps))
         place = make_place(config)
         began = time.perf_counter()
-        assert all(done >= steps for _, done in collect_values(run_jobs(jobs, place, count)))
+        assert all(
+            step_count >= steps for _, step_count in collect_values(run_jobs(jobs, place, count))
+        )
         return time.perf_counter() - began
 
 

@@ -27,16 +27,21 @@ STATES = 20
 
 def compute_error(quadruped: Quadruped, file: Path) -> float:
     """Return the largest relative error of mass and inverse dynamics against MuJoCo's compile."""
-    ours, theirs = quadruped.make_full_model(), mujoco.MjSpec.from_file(str(file)).compile()
-    joints = [theirs.joint(name).id for name in quadruped.joints]
-    trunk = int(theirs.body_rootid[theirs.jnt_bodyid[joints[0]]])
-    free = int(theirs.body_jntadr[trunk])
-    places = [theirs.jnt_dofadr[free] + np.arange(6), theirs.jnt_dofadr[joints]]
+    our_model, mujoco_model = (
+        quadruped.make_full_model(),
+        mujoco.MjSpec.from_file(str(file)).compile(),
+    )
+    joints = [mujoco_model.joint(name).id for name in quadruped.joints]
+    trunk = int(mujoco_model.body_rootid[mujoco_model.jnt_bodyid[joints[0]]])
+    free = int(mujoco_model.body_jntadr[trunk])
+    places = [mujoco_model.jnt_dofadr[free] + np.arange(6), mujoco_model.jnt_dofadr[joints]]
     dofs = np.concatenate(places)
-    qpos = np.concatenate([theirs.jnt_qposadr[free] + np.arange(7), theirs.jnt_qposadr[joints]])
+    qpos = np.concatenate(
+        [mujoco_model.jnt_qposadr[free] + np.arange(7), mujoco_model.jnt_qposadr[joints]]
+    )
     # A default of all joints may have given the free one what no trunk has; that is dropped.
-    theirs.dof_armature[places[0]] = theirs.dof_damping[places[0]] = 0
-    masses = [float(ours.body_subtreemass[1]), float(theirs.body_subtreemass[trunk])]
+    mujoco_model.dof_armature[places[0]] = mujoco_model.dof_damping[places[0]] = 0
+    masses = [float(our_model.body_subtreemass[1]), float(mujoco_model.body_subtreemass[trunk])]
     errors = [abs(masses[0] / masses[1] - 1)]
     rng = np.random.default_rng(0)
     for _ in range(STATES):
@@ -45,7 +50,10 @@ def compute_error(quadruped: Quadruped, file: Path) -> float:
         everything = slice(None)
         forces = [
             compute_forces(model, (qpos_of, dofs_of), (pose, velocity, acceleration))
-            for model, qpos_of, dofs_of in ((ours, everything, everything), (theirs, qpos, dofs))
+            for model, qpos_of, dofs_of in (
+                (our_model, everything, everything),
+                (mujoco_model, qpos, dofs),
+            )
         ]
         errors.append(np.abs(forces[0] - forces[1]).max() / np.abs(forces[1]).max())
     return float(max(errors))

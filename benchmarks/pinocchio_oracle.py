@@ -27,25 +27,28 @@ class Pinocchio:
         self.model.gravity.linear = model.opt.gravity.copy()
         self.data = self.model.createData()
         self.joints, self.planes, self.floats = [], [], []
-        for name, theirs in list(zip(self.model.names, self.model.joints, strict=True))[1:]:
+        joints = list(zip(self.model.names, self.model.joints, strict=True))
+        for name, pinocchio_joint in joints[1:]:
             if self.floating and name == "root_joint":
                 continue
-            if theirs.shortname() == "JointModelPlanar":
+            if pinocchio_joint.shortname() == "JointModelPlanar":
                 self.planes.append(
-                    ([model.joint(f"{name}_{s}") for s in ("x", "y", "turn")], theirs)
+                    ([model.joint(f"{name}_{s}") for s in ("x", "y", "turn")], pinocchio_joint)
                 )
-            elif theirs.shortname() == "JointModelFreeFlyer":
-                self.floats.append(([model.joint(f"{name}_{s}") for s in ("x", "ball")], theirs))
+            elif pinocchio_joint.shortname() == "JointModelFreeFlyer":
+                self.floats.append(
+                    ([model.joint(f"{name}_{s}") for s in ("x", "ball")], pinocchio_joint)
+                )
             else:
-                self.joints.append((model.joint(name), theirs))
+                self.joints.append((model.joint(name), pinocchio_joint))
         assert self.model.nv == model.nv
         # Links with one collision shape that is no mesh: the geom of that name, and its origin.
         self.shapes = []
         for link in ET.fromstring(re.sub(r"^\s*<\?xml.*?\?>", "", urdf.text)).findall("link"):
             shapes = link.findall("collision")
             if len(shapes) == 1 and shapes[0].find("geometry/mesh") is None:
-                given = shapes[0].find("origin")
-                origin = {} if given is None else given.attrib
+                origin_element = shapes[0].find("origin")
+                origin = {} if origin_element is None else origin_element.attrib
                 xyz, rpy = (
                     np.array(origin.get(name, "0 0 0").split(), float) for name in ("xyz", "rpy")
                 )
@@ -57,24 +60,28 @@ class Pinocchio:
         q = np.zeros(self.model.nq)
         if self.floating:
             q[:7] = qpos[[0, 1, 2, 4, 5, 6, 3]]
-        for mine, theirs in self.joints:
-            angle = qpos[mine.qposadr[0]]
-            two = theirs.nq == 2  # continuous: cosine and sine
-            q[theirs.idx_q : theirs.idx_q + theirs.nq] = (
+        for mujoco_joint, pinocchio_joint in self.joints:
+            angle = qpos[mujoco_joint.qposadr[0]]
+            two = pinocchio_joint.nq == 2  # continuous: cosine and sine
+            q[pinocchio_joint.idx_q : pinocchio_joint.idx_q + pinocchio_joint.nq] = (
                 [np.cos(angle), np.sin(angle)] if two else [angle]
             )
-        for (x, y, turn), theirs in self.planes:
+        for (x, y, turn), pinocchio_joint in self.planes:
             angle = qpos[turn.qposadr[0]]
-            q[theirs.idx_q : theirs.idx_q + 4] = [
+            q[pinocchio_joint.idx_q : pinocchio_joint.idx_q + 4] = [
                 qpos[x.qposadr[0]],
                 qpos[y.qposadr[0]],
                 np.cos(angle),
                 np.sin(angle),
             ]
-        for (x, ball), theirs in self.floats:
+        for (x, ball), pinocchio_joint in self.floats:
             first, at = x.qposadr[0], ball.qposadr[0]
             wxyz = qpos[at : at + 4]
-            q[theirs.idx_q : theirs.idx_q + 7] = [*qpos[first : first + 3], *wxyz[1:], wxyz[0]]
+            q[pinocchio_joint.idx_q : pinocchio_joint.idx_q + 7] = [
+                *qpos[first : first + 3],
+                *wxyz[1:],
+                wxyz[0],
+            ]
         return q
 
     def compute_velocity_map(
@@ -93,22 +100,22 @@ class Pinocchio:
             back = turn.reshape(3, 3).T
             g[:3, :3], g[3:6, 3:6] = back, np.eye(3)
             drift[:3] = -np.cross(qvel[3:6], back @ qvel[:3])
-        for mine, theirs in self.joints:
-            g[theirs.idx_v, mine.dofadr[0]] = 1
-        for (x, _, turn), theirs in self.planes:
-            mine, at = x.dofadr[0], theirs.idx_v
+        for mujoco_joint, pinocchio_joint in self.joints:
+            g[pinocchio_joint.idx_v, mujoco_joint.dofadr[0]] = 1
+        for (x, _, turn), pinocchio_joint in self.planes:
+            first, at = x.dofadr[0], pinocchio_joint.idx_v
             cos, sin = np.cos(qpos[turn.qposadr[0]]), np.sin(qpos[turn.qposadr[0]])
             back, rate = np.array([[cos, sin], [-sin, cos]]), qvel[turn.dofadr[0]]
-            g[at : at + 2, mine : mine + 2], g[at + 2, turn.dofadr[0]] = back, 1
-            across = back @ qvel[mine : mine + 2]
+            g[at : at + 2, first : first + 2], g[at + 2, turn.dofadr[0]] = back, 1
+            across = back @ qvel[first : first + 2]
             drift[at : at + 2] = -rate * np.array([-across[1], across[0]])
-        for (x, ball), theirs in self.floats:
-            mine, at, spin = x.dofadr[0], theirs.idx_v, ball.dofadr[0]
+        for (x, ball), pinocchio_joint in self.floats:
+            first, at, spin = x.dofadr[0], pinocchio_joint.idx_v, ball.dofadr[0]
             turn = np.zeros(9)
             mujoco.mju_quat2Mat(turn, qpos[ball.qposadr[0] : ball.qposadr[0] + 4])
             back = turn.reshape(3, 3).T
-            g[at : at + 3, mine : mine + 3], g[at + 3 : at + 6, spin : spin + 3] = back, np.eye(3)
-            drift[at : at + 3] = -np.cross(qvel[spin : spin + 3], back @ qvel[mine : mine + 3])
+            g[at : at + 3, first : first + 3], g[at + 3 : at + 6, spin : spin + 3] = back, np.eye(3)
+            drift[at : at + 3] = -np.cross(qvel[spin : spin + 3], back @ qvel[first : first + 3])
         return g, drift
 
     def compute_errors(self, states: int, seed: int = 0) -> dict[str, float]:

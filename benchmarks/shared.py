@@ -88,8 +88,8 @@ def find_example_robots() -> Path | None:
 
     QUADWALK_EXAMPLE_ROBOTS can name another folder.
     """
-    if named := os.environ.get("QUADWALK_EXAMPLE_ROBOTS"):
-        return Path(named)
+    if setting := os.environ.get("QUADWALK_EXAMPLE_ROBOTS"):
+        return Path(setting)
     for name in ("purelib", "platlib"):
         folder = Path(sysconfig.get_path(name))
         robots = folder / "cmeel.prefix/share/example-robot-data/robots"

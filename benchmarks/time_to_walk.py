@@ -119,9 +119,9 @@ def main() -> None:
                 options.checkpoint_steps,
             )
         print(f"{'seed':>4} {'cache':>6} {'seconds':>8} {'steps':>10} {'m/s':>6} {'fell':>5}")
-        for (seed, kind), written in policies.items():
+        for (seed, kind), saved_policies in policies.items():
             late = float("inf"), f"not in {options.minutes:g} minutes"
-            seconds, figures = find_walking(written) or late
+            seconds, figures = find_walking(saved_policies) or late
             times[kind].append(seconds)
             print(f"{seed:4} {kind:>6} {figures}", flush=True)
     for kind, seconds_of_seeds in times.items():

@@ -60,8 +60,8 @@ def main() -> None:
     command = [options.post_python] if options.post_python else ["uv", "run", "--script"]
     if shutil.which(command[0]) is None:
         parser.error(f"{command[0]} is not there; expected uv, or --post-python PATH")
-    theirs: list[Turn] = []
-    ours: list[Turn] = []
+    post_turns: list[Turn] = []
+    our_turns: list[Turn] = []
     pipe = subprocess.PIPE
     with subprocess.Popen([*command, POST], text=True, stdin=pipe, stdout=pipe) as post:
         assert post.stdin is not None
@@ -72,25 +72,31 @@ def main() -> None:
         print(f"{'':8} the post     ours    ratio")
         for number in range(1, options.rounds + 1):
             print(file=post.stdin, flush=True)
-            theirs.append(read_turn(post))
-            timed = training.run(theirs[-1].seconds)
-            ours.append(Turn(timed.steps, timed.steps * sprint.TASK.env.control_dt, timed.seconds))
-            print_row(f"round {number:2}", theirs[-1:], ours[-1:])
+            post_turns.append(read_turn(post))
+            timed = training.run(post_turns[-1].seconds)
+            our_turns.append(
+                Turn(timed.steps, timed.steps * sprint.TASK.env.control_dt, timed.seconds)
+            )
+            print_row(f"round {number:2}", post_turns[-1:], our_turns[-1:])
         post.stdin.close()
-    print_row("median", theirs, ours)
+    print_row("median", post_turns, our_turns)
     rates = [
-        statistics.median(turn.steps / turn.seconds for turn in side) for side in (theirs, ours)
+        statistics.median(turn.steps / turn.seconds for turn in side)
+        for side in (post_turns, our_turns)
     ]
     print(f"control steps/s: the post {rates[0]:,.0f}, ours {rates[1]:,.0f}")
 
 
-def print_row(name: str, theirs: list[Turn], ours: list[Turn]) -> None:
+def print_row(name: str, post_turns: list[Turn], our_turns: list[Turn]) -> None:
     """Print a row: the medians of both sides' simulated seconds per second, and of our gain.
 
-    `theirs` and `ours` are turns of the same rounds; the gain is ours over theirs in each.
+    `post_turns` and `our_turns` are turns of the same rounds; the gain is ours over theirs in each.
     """
-    gains = [own.ratio / other.ratio for own, other in zip(ours, theirs, strict=True)]
-    columns = [turn.ratio for turn in theirs], [turn.ratio for turn in ours], gains
+    gains = [
+        our_turn.ratio / post_turn.ratio
+        for our_turn, post_turn in zip(our_turns, post_turns, strict=True)
+    ]
+    columns = [turn.ratio for turn in post_turns], [turn.ratio for turn in our_turns], gains
     print(f"{name:8}", *(f"{statistics.median(column):8.1f}" for column in columns))
 
 

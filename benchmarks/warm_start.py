@@ -4,10 +4,10 @@
         [--steps 10000000] [--seed 0]
 
 "nothing" among the runs is a training from random networks. Robots are those of
-example-robot-data, whose URDFs are named so. Printed are steps and seconds of training until the
-evaluation while training runs at 1 m/s, reaches 98 % of the fastest at the end, and falls in 2 % of
-its episodes; means over the last 20 iterations. With commands the speed is the commanded one less
-the velocity's error. To see that it works: --steps 300000.
+example-robot-data, whose URDFs are named so. It prints when the evaluation environments run at
+1 m/s, reach 98 % of the fastest at the end, and fall in 2 % of their episodes: steps and seconds of
+training, means over the last 20 iterations. With commands the speed is the commanded one less the
+velocity's error. To see that it works: --steps 300000.
 """
 
 from pathlib import Path
@@ -78,11 +78,11 @@ def train(task: str, urdf: Path, run: str, steps: int, seed: int) -> Curve:
     rows = read_history(
         quadwalk.train(task, robot=urdf, steps=steps, seed=seed, init=init, quiet=True)
     )
-    done, seconds, speeds, falls = (
+    step_counts, seconds, speeds, falls = (
         np.array([row[name] for row in rows])
         for name in ("steps", "time/elapsed", "eval/speed", "eval/fall_rate")
     )
-    return Curve(done, seconds, average_last(speeds), average_last(falls))
+    return Curve(step_counts, seconds, average_last(speeds), average_last(falls))
 
 
 def average_last(values: np.ndarray) -> np.ndarray:

@@ -119,10 +119,10 @@ def lock(file: Any, wait: bool = False) -> bool | None:
 
 
 @contextlib.contextmanager
-def hold_file(path: Path, taken: str | None) -> Iterator[None]:
+def hold_file(path: Path, message: str | None) -> Iterator[None]:
     """Lock a file, made if need be, while the context is open.
 
-    Raises `UserError` with the text `taken` if another process has it; without `taken` it waits.
+    Raises `UserError` with the text `message` if another process has it, and waits without one.
     The system unlocks it when the process ends, however it ends.
     """
     try:
@@ -130,8 +130,8 @@ def hold_file(path: Path, taken: str | None) -> Iterator[None]:
     except OSError as error:
         raise UserError(f"cannot write {path}: {get_os_reason(error)}") from error
     with file:
-        if lock(file, wait=taken is None) is False:
-            raise UserError(str(taken))
+        if lock(file, wait=message is None) is False:
+            raise UserError(str(message))
         yield
 
 

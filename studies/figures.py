@@ -97,11 +97,11 @@ def choose_course(summary: dict[str, Any]) -> dict[str, Any]:
 def choose_gaits(rows: list[dict[str, Any]]) -> dict[str, list[Any]]:
     """Return figures of feet at three speeds ahead: the lowest, about a third, the highest."""
     ahead = [row for row in rows if row["command"][0] > 0 and not any(row["command"][1:])]
-    chosen = [ahead[0], ahead[len(ahead) // 3], ahead[-1]]
+    picks = [ahead[0], ahead[len(ahead) // 3], ahead[-1]]
     names = ("stride_frequency", "duty_factor", "swing_height_p10", "slip", "cost_of_transport")
     return {
-        "command": [row["command"][0] for row in chosen],
-        **{name: [row[name] for row in chosen] for name in names},
+        "command": [row["command"][0] for row in picks],
+        **{name: [row[name] for row in picks] for name in names},
     }
 
 
@@ -171,7 +171,7 @@ def choose_ground(ground: dict[str, Any]) -> dict[str, Any]:
     Over all kinds there are the means of `arrived`, %, and of the velocity error, m/s.
     """
     measured = ground["difficulties"]
-    difficulties = [min(measured, key=lambda x: abs(x - wanted)) for wanted in DIFFICULTIES]
+    difficulties = [min(measured, key=lambda x: abs(x - level)) for level in DIFFICULTIES]
     cells = {(cell["kind"], cell["difficulty"]): cell for cell in ground["cells"]}
     kinds = ground["kinds"]
 

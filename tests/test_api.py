@@ -102,8 +102,8 @@ def test_a_configs_robot_is_made_and_another_urdf_leaves_its_other_settings(tmp_
         (tmp_path / f"{name}.urdf").write_text(limp.replace("aliengo", name))
     robot = RobotConfig(tmp_path / "own.urdf", effort=30.0)
     config = dataclasses.replace(load_task("sprint"), robot=robot)
-    for given, name in ((None, "own"), (tmp_path / "other.urdf", "other")):
-        quadruped = quadwalk.make(config, given).quadruped
+    for urdf, name in ((None, "own"), (tmp_path / "other.urdf", "other")):
+        quadruped = quadwalk.make(config, urdf).quadruped
         assert quadruped.name == name
         assert list(quadruped.effort[2::3]) == [30.0] * 4
     gone = dataclasses.replace(config, robot=RobotConfig(tmp_path / "gone.urdf"))
@@ -127,12 +127,12 @@ def test_a_training_returns_its_run_and_is_watched(trained, runs):
 def test_a_training_is_gone_on_with_where_it_ended(trained, runs):
     run, _ = trained
     shutil.copytree(run.path, runs / "longer")
-    seen = []
+    rows = []
     again = quadwalk.train(
-        resume="longer", steps=3 * BATCH, runs=runs, quiet=True, watch=seen.append
+        resume="longer", steps=3 * BATCH, runs=runs, quiet=True, watch=rows.append
     )
     assert again.path == runs / "longer"
-    assert [row["steps"] for row in seen] == [3 * BATCH]
+    assert [row["steps"] for row in rows] == [3 * BATCH]
     assert again.metrics.read_bytes().startswith(run.metrics.read_bytes())
     policy = quadwalk.load_policy(again)
     assert policy.steps == 3 * BATCH
@@ -196,8 +196,8 @@ def test_evaluations_are_compared_in_a_table_and_as_plots(results, capsys):
     (panel,) = (axes for axes in figure.axes if axes.get_title("left") == "Speed along x, m/s")
     assert [label.get_text() for label in panel.get_xticklabels()] == ["in MJX", "in C"]
     dots = [line.get_ydata() for line in panel.lines if len(line.get_xdata()) == EPISODES]
-    for result, drawn in zip(results.values(), dots, strict=True):
-        np.testing.assert_allclose(drawn, [figures["speed"] for figures in result.episodes])
+    for result, speeds in zip(results.values(), dots, strict=True):
+        np.testing.assert_allclose(speeds, [figures["speed"] for figures in result.episodes])
 
 
 def test_a_report_is_shown_by_a_notebook_that_has_not_set_up_pyplot(results):
@@ -216,7 +216,7 @@ def test_other_episodes_are_not_compared(results):
 
 
 @pytest.mark.parametrize(
-    ("call", "named"),
+    ("call", "message"),
     [
         (lambda runs: quadwalk.make("wlak"), "wlak"),
         (lambda runs: quadwalk.make(overrides={"env.reward.enrgy": 1}), "did you mean 'energy'"),
@@ -235,8 +235,8 @@ def test_other_episodes_are_not_compared(results):
         (lambda runs: quadwalk.load_policy(Path("no.npz")), "no.npz"),
     ],
 )
-def test_what_cannot_be_is_named_in_one_line(trained, runs, call, named):
-    with pytest.raises(UserError, match=re.escape(named)):
+def test_what_cannot_be_is_named_in_one_line(trained, runs, call, message):
+    with pytest.raises(UserError, match=re.escape(message)):
         call(runs)
 
 

@@ -41,7 +41,7 @@ def test_flags_change_the_default():
 
 
 @pytest.mark.parametrize(
-    ("flags", "said"),
+    ("flags", "message"),
     [
         ("--steps x", "bad value for --steps; expected INT"),
         ("--steps", "bad value for --steps; expected INT"),
@@ -60,11 +60,13 @@ def test_flags_change_the_default():
     ],
 )
 @pytest.mark.parametrize("width", ["30", "200"])
-def test_a_bad_flag_is_one_line_that_says_what_is_expected(monkeypatch, capsys, flags, said, width):
+def test_a_bad_flag_is_one_line_that_says_what_is_expected(
+    monkeypatch, capsys, flags, message, width
+):
     monkeypatch.setenv("COLUMNS", width)
     with pytest.raises(UsageError) as caught:
         parse(Config, flags.split(), "prog")
-    assert str(caught.value) == f"{said} (prog --help lists all)"
+    assert str(caught.value) == f"{message} (prog --help lists all)"
     assert capsys.readouterr() == ("", "")
 
 

@@ -32,7 +32,7 @@ def test_version_help_and_tasks(call):
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("words", "message"),
     [
         (["trian"], "no command 'trian'; .*; did you mean 'train'?"),
         (["train", "wlak"], "^no task 'wlak'; .*; did you mean 'walk'?"),
@@ -47,9 +47,9 @@ def test_version_help_and_tasks(call):
         (["runs", "list", "walk"], "list walk: expected list alone"),
     ],
 )
-def test_what_is_meant_is_said_in_one_line(call, given, said):
-    with pytest.raises(UsageError, match=said):
-        call(*given)
+def test_what_is_meant_is_said_in_one_line(call, words, message):
+    with pytest.raises(UsageError, match=message):
+        call(*words)
 
 
 def test_help_of_training_fits_a_screen(call):
@@ -82,14 +82,14 @@ def test_bash_completes_commands_flags_and_choices(call):
 
 
 def test_the_demo_drives_a_packaged_policy(call, monkeypatch):
-    driven = []
-    monkeypatch.setattr(view, "view", driven.append)
+    configs = []
+    monkeypatch.setattr(view, "view", configs.append)
     call("demo", "--port", "8090")
-    assert (driven[0].run, driven[0].port) == ("drive", 8090)
+    assert (configs[0].run, configs[0].port) == ("drive", 8090)
     call("demo", "my_dog.urdf", "--port", "8090")
-    assert (driven[1].run, str(driven[1].robot.urdf)) == ("universal", "my_dog.urdf")
+    assert (configs[1].run, str(configs[1].robot.urdf)) == ("universal", "my_dog.urdf")
     call("demo", "my_dog.urdf", "--run", "many")
-    assert (driven[2].run, str(driven[2].robot.urdf)) == ("many", "my_dog.urdf")
+    assert (configs[2].run, str(configs[2].robot.urdf)) == ("many", "my_dog.urdf")
     with pytest.raises(UsageError, match="--run without a robot"):
         call("demo", "--run", "many")
 

@@ -119,7 +119,7 @@ def test_a_stopped_training_goes_on_to_its_end(stopped, runs):
 
 
 @pytest.mark.parametrize(
-    ("flags", "named"),
+    ("flags", "message"),
     [
         (["--resume=nobody"], "nobody"),
         (["--resume=tiny", "--ppo.hidden=32"], "ppo.hidden"),
@@ -129,8 +129,10 @@ def test_a_stopped_training_goes_on_to_its_end(stopped, runs):
         (["--robot.urdf=none.urdf"], "none.urdf"),
     ],
 )
-def test_a_training_that_cannot_start_is_one_line_and_changes_nothing(stopped, runs, flags, named):
+def test_a_training_that_cannot_start_is_one_line_and_changes_nothing(
+    stopped, runs, flags, message
+):
     files = {path: path.stat().st_mtime_ns for path in runs.rglob("*")}
-    with pytest.raises(UserError, match=named):
+    with pytest.raises(UserError, match=message):
         train([f"--runs={runs}", *flags, "--devices=2"])
     assert {path: path.stat().st_mtime_ns for path in runs.rglob("*")} == files

@@ -23,9 +23,9 @@ SHORT = {"env.episode_seconds": STEPS * 0.02}  # as the fixture `env` has it
 
 @pytest.fixture(scope="module")
 def envs():
-    made = gymnasium.make_vec("quadwalk/Sprint-v0", num_envs=ENVS, overrides=SHORT)
-    yield made
-    made.close()
+    vector_env = gymnasium.make_vec("quadwalk/Sprint-v0", num_envs=ENVS, overrides=SHORT)
+    yield vector_env
+    vector_env.close()
 
 
 def sample_actions() -> np.ndarray:
@@ -33,8 +33,8 @@ def sample_actions() -> np.ndarray:
 
 
 def test_every_task_is_registered_and_on_the_page():
-    listed = re.findall(r"`(\w+)-v0`", (ROOT / "docs/gymnasium.md").read_text())
-    assert [name.lower() for name in listed] == sorted(list_tasks())
+    names = re.findall(r"`(\w+)-v0`", (ROOT / "docs/gymnasium.md").read_text())
+    assert [name.lower() for name in names] == sorted(list_tasks())
     for name in list_tasks():
         spec = gymnasium.spec(f"quadwalk/{name.capitalize()}-v0")
         assert spec.kwargs == {"task": name}
@@ -43,10 +43,10 @@ def test_every_task_is_registered_and_on_the_page():
 
 def test_one_robot_passes_the_checker_of_gymnasium():
     env = gymnasium.make("quadwalk/Sprint-v0", overrides=SHORT)
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as records:
         check_env(env.unwrapped)
     # An observation has no bounds.
-    assert [str(w.message) for w in said if "infinity" not in str(w.message)] == []
+    assert [str(w.message) for w in records if "infinity" not in str(w.message)] == []
     env.reset(seed=1)
     for step in range(STEPS):
         *_, terminated, truncated, info = env.step(np.zeros(12, np.float32))
@@ -106,8 +106,8 @@ def test_a_step_that_cannot_be_taken_is_said(envs):
     one.reset(seed=0)
     envs.reset(seed=0)
     for env, shape, wrong in ((one, (12,), (1, 12)), (envs, (ENVS, 12), (12,))):
-        said = f"an action has the shape {wrong}; expected {shape}"
-        with pytest.raises(UsageError, match=f"^{re.escape(said)}$"):
+        message = f"an action has the shape {wrong}; expected {shape}"
+        with pytest.raises(UsageError, match=f"^{re.escape(message)}$"):
             env.step(np.zeros(wrong))
         env.step(np.zeros(shape))  # the next one can
     with pytest.raises(UsageError, match=r"^num_envs is 0; expected 1 or more$"):

@@ -34,7 +34,7 @@ def test_the_wheel_carries_package_assets_and_licenses(wheel):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "words"),
     [
         ("", "train eval export robot"),
         ("train --help-all", "--env.reward.energy --env.physics-dt"),
@@ -43,15 +43,15 @@ def test_the_wheel_carries_package_assets_and_licenses(wheel):
         ("robot {assets}/aliengo.urdf -q", '<mujoco model="aliengo">'),
     ],
 )
-def test_its_commands_work_away_from_the_checkout(wheel, tmp_path, arguments, said):
+def test_its_commands_work_away_from_the_checkout(wheel, tmp_path, arguments, words):
     site = tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
-    given = arguments.format(assets=site / "quadwalk/assets").split()
+    command = arguments.format(assets=site / "quadwalk/assets").split()
     environment = {**os.environ, "PYTHONPATH": str(site)}
-    done = python("-m", "quadwalk", *given, cwd=tmp_path, env=environment)
+    done = python("-m", "quadwalk", *command, cwd=tmp_path, env=environment)
     assert done.returncode == 0, done.stderr
-    assert all(word in done.stdout for word in said.split())
+    assert all(word in done.stdout for word in words.split())
 
 
 def test_libraries_print_nothing_when_they_are_imported():

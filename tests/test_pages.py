@@ -53,22 +53,22 @@ def test_the_page_of_settings_has_every_flag_of_a_task_s_terms(capsys):
     with pytest.raises(SystemExit):  # of the help
         main.call_command(["train", "rough", "--help-all"])
     kinds = r"--env\.(?:reward|observation|critic|termination|action)\.[\w.-]+"
-    shown = set(re.findall(kinds, capsys.readouterr().out))
+    help_flags = set(re.findall(kinds, capsys.readouterr().out))
     rows = (ROOT / "docs/settings.md").read_text().splitlines()
     heads = [row.split(" | ") for row in rows if " | rough | " in row]
     column = {head.index("rough") for head in heads}.pop()
     cells = [row.split(" | ") for row in rows if re.match(rf"\| `{kinds}`", row)]
-    listed = {flag.strip("| `") for flag, *values in cells if values[column - 1] != "-"}
-    histories = {flag for flag in shown if flag.endswith(".history")}  # listed where not 0
-    assert listed | histories == shown
+    page_flags = {flag.strip("| `") for flag, *values in cells if values[column - 1] != "-"}
+    histories = {flag for flag in help_flags if flag.endswith(".history")}  # listed where not 0
+    assert page_flags | histories == help_flags
     assert "| `--env.reward.kneel` | - | - | - | - | -1 | -1 | - | - | - |" in "\n".join(rows)
 
 
 def test_every_page_is_on_the_site():
-    named = set(re.findall(r"(\w+\.md)", (ROOT / "mkdocs.yml").read_text()))
+    site_pages = set(re.findall(r"(\w+\.md)", (ROOT / "mkdocs.yml").read_text()))
     pages = [*(ROOT / "docs").glob("*.md"), *(ROOT / "notebooks").glob("*.ipynb")]
-    made = {"quickstart.md", "changelog.md", "history.md"}  # of files beside docs/
-    assert named == {f"{page.stem}.md" for page in pages} | made
+    other_pages = {"quickstart.md", "changelog.md", "history.md"}  # of files beside docs/
+    assert site_pages == {f"{page.stem}.md" for page in pages} | other_pages
 
 
 def test_the_readme_is_short():

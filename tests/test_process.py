@@ -212,8 +212,8 @@ def test_without_packages_one_line_says_how_to_get_them(checkout):
     )
     done = run_line("cd .. && python 'my checkout/eval.py'", checkout)
     commands = done.stderr.strip().partition("by: ")[2].split(", or: ")
-    made = run_line(f"cd .. && {commands[0]} -n", checkout)
-    assert "tools/uv sync" in made.stdout
+    dry_run = run_line(f"cd .. && {commands[0]} -n", checkout)
+    assert "tools/uv sync" in dry_run.stdout
     assert (checkout.parent / shlex.split(commands[1])[-1]).samefile(checkout)
 
 

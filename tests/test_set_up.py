@@ -172,8 +172,8 @@ def test_where_nothing_is_found_one_line_says_what_to_install(
     assert (done.returncode, done.stderr) == (1, f"error: {reason}: {without_uv}\n")
     machine.add_uv()
     done = machine.run()
-    said, error = done.stderr.splitlines()
+    notice, error = done.stderr.splitlines()
     reason = "found no Python 3.12, 3.13 or 3.14, and uv could fetch none"
     assert (done.returncode, done.stdout) == (1, "")
-    assert said == "found no Python 3.12, 3.13 or 3.14: uv fetches one"
+    assert notice == "found no Python 3.12, 3.13 or 3.14: uv fetches one"
     assert error == f"error: {reason}: {with_uv}"

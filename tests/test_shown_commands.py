@@ -67,20 +67,20 @@ def parse(monkeypatch, tmp_path) -> Callable[..., None]:
     return call
 
 
-def shown(page: Path) -> list[list[str]]:
+def list_commands(page: Path) -> list[list[str]]:
     """Return the words of each command that a page shows, in blocks and in its text."""
     text = page.read_text()
     lines = [line for block in BLOCK.findall(text) for line in block.splitlines()]
     lines += [re.sub(r"[\[\]]| \.\.\.", "", line) for line in INLINE.findall(BLOCK.sub("", text))]
-    found: list[list[str]] = []
+    commands: list[list[str]] = []
     for line in lines:
-        found.append([])
+        commands.append([])
         for word in shlex.split(line, comments=True):
             if word == "&&":
-                found.append([])
+                commands.append([])
             else:
-                found[-1].append(PLACES.get(word, word))
-    return [words for words in found if words]
+                commands[-1].append(PLACES.get(word, word))
+    return [words for words in commands if words]
 
 
 def arguments(words: list[str]) -> list[str] | None:
@@ -108,8 +108,8 @@ def check_other(words: list[str]) -> None:
     match words:
         case ["make", *targets]:
             names = [target for target in targets if "=" not in target and target[0] != "-"]
-            made = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
-            assert set(names) <= set(made)
+            rules = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+            assert set(names) <= set(rules)
         case ["python", "-m", module, *rest]:
             assert module == "pip" or importlib.util.find_spec(module), module
             for word in rest:
@@ -126,13 +126,13 @@ def check_other(words: list[str]) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_are_read_by_their_parsers(page, parse):
-    for words in shown(page):
-        given = arguments(words)
-        if given is None:
+    for words in list_commands(page):
+        call_words = arguments(words)
+        if call_words is None:
             check_other(words)
             continue
-        parse(*given)
-        for variant in split_variants(given[1:])[0] if given[:1] == ["compare"] else []:
+        parse(*call_words)
+        for variant in split_variants(call_words[1:])[0] if call_words[:1] == ["compare"] else []:
             with pytest.raises(ParsedError):
                 parse_config(shlex.split(variant))
 
@@ -155,6 +155,6 @@ def test_flags_against_trouble_are_read_by_the_parser_of_a_task(parse):
 
 
 def test_the_readme_has_commands_and_a_wrong_flag_is_found(parse):
-    assert len(shown(ROOT / "README.md")) > 10
+    assert len(list_commands(ROOT / "README.md")) > 10
     with pytest.raises(Exception, match="unknown option --enginee"):
         parse(*arguments(["python", "eval.py", "--enginee", "mujoco"]))

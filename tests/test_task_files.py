@@ -72,7 +72,7 @@ def test_the_file_of_an_earlier_version_is_read_with_a_line_that_names_the_new_i
 
 
 @pytest.mark.parametrize(
-    ("content", "named"),
+    ("content", "message"),
     [
         (None, "cannot read"),
         ("x = 1", "TASK"),
@@ -90,11 +90,11 @@ def test_the_file_of_an_earlier_version_is_read_with_a_line_that_names_the_new_i
         ),
     ],
 )
-def test_a_file_that_is_no_task_is_named_in_one_line(tmp_path, content, named):
+def test_a_file_that_is_no_task_is_named_in_one_line(tmp_path, content, message):
     file = tmp_path / "mine.py"
     if content is not None:
         file.write_text(content)
-    with pytest.raises(UsageError, match=named) as error:
+    with pytest.raises(UsageError, match=message) as error:
         load_task(file)
     assert str(file) in str(error.value)
 
@@ -141,7 +141,7 @@ def test_an_observation_names_its_numbers_by_their_count_or_as_told():
     assert part.name_numbers("speed", 3, joints) == ("speed_x", "speed_y", "speed_z")
     assert part.name_numbers("angle", 12, joints)[11] == "angle_joint11"
     assert part.name_numbers("scan", 2, joints) == ("scan_0", "scan_1")
-    told = dataclasses.replace(part, labels=("left", "right"))
-    assert told.name_numbers("scan", 2, joints) == ("scan_left", "scan_right")
+    with_labels = dataclasses.replace(part, labels=("left", "right"))
+    assert with_labels.name_numbers("scan", 2, joints) == ("scan_left", "scan_right")
     with pytest.raises(UsageError, match="scan has 3 numbers and 2 labels"):
-        told.name_numbers("scan", 3, joints)
+        with_labels.name_numbers("scan", 3, joints)

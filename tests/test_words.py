@@ -85,7 +85,7 @@ def docstrings(source: str) -> Iterator[str]:
             yield from re.split(r"\n\s*\n|\n(?=\s+\S)", ast.get_docstring(node) or "")
 
 
-def said(source: str) -> Iterator[str]:
+def find_texts(source: str) -> Iterator[str]:
     """Yield comments, and strings of several words: docstrings, help and messages."""
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
@@ -105,14 +105,14 @@ def problems(text: str) -> Iterator[str]:
     """Yield a line for each problem with the words of `text`."""
     text = plain(text)
     for pattern, better in AVOID.items():
-        for found in re.finditer(rf"\b(?:{pattern})\b", text, re.IGNORECASE):
-            yield f"{found[0]!r}; expected {better}: {around(text, found)}"
-    for found in re.finditer(r"(?:^|[ (~±|+-])\.\d", text):
-        yield f"a number without its zero: {around(text, found)}"
+        for match in re.finditer(rf"\b(?:{pattern})\b", text, re.IGNORECASE):
+            yield f"{match[0]!r}; expected {better}: {around(text, match)}"
+    for match in re.finditer(r"(?:^|[ (~±|+-])\.\d", text):
+        yield f"a number without its zero: {around(text, match)}"
 
 
-def around(text: str, found: re.Match[str]) -> str:
-    return text[max(found.start() - 40, 0) : found.end() + 40]
+def around(text: str, match: re.Match[str]) -> str:
+    return text[max(match.start() - 40, 0) : match.end() + 40]
 
 
 def too_long(text: str) -> Iterator[str]:
@@ -179,24 +179,24 @@ def test_few_sentences_are_long():
 
 
 def test_pages():
-    found = [
+    lines = [
         f"{page.relative_to(ROOT)}: {problem}"
         for page in PAGES
         if page.name != "CHANGELOG.md"  # it names what was called otherwise
         for part in pages(page.read_text())
         for problem in (*problems(part), *too_long(part))
     ]
-    assert not found, "\n".join(found)
+    assert not lines, "\n".join(lines)
 
 
 def test_sources():
-    found = []
+    lines = []
     for path in SOURCES:
         text = path.read_text()
-        wrong = [problem for part in said(text) for problem in problems(part)]
+        wrong = [problem for part in find_texts(text) for problem in problems(part)]
         wrong += [problem for part in docstrings(text) for problem in too_long(part)]
-        found += [f"{path.relative_to(ROOT)}: {problem}" for problem in wrong]
-    assert not found, "\n".join(found)
+        lines += [f"{path.relative_to(ROOT)}: {problem}" for problem in wrong]
+    assert not lines, "\n".join(lines)
 
 
 @pytest.mark.parametrize(

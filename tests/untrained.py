@@ -59,6 +59,6 @@ def write_policy(
         learner = {"params": {"policy": weights}, "normalizer": whole}
         checkpoint.save(path, {"learner": learner}, {**metadata, "kind": "checkpoint"})
         return
-    known = {"joints": list(env.quadruped.joints), "observation_size": size, "score": 0.0}
+    details = {"joints": list(env.quadruped.joints), "observation_size": size, "score": 0.0}
     tree = {"normalizer": statistics, "policy": weights}
-    checkpoint.save(path, tree, {**metadata, **known, "kind": "policy"})
+    checkpoint.save(path, tree, {**metadata, **details, "kind": "policy"})

@@ -46,8 +46,8 @@ def about_standard(
 
     For the AlienGo, whose joints are standard, it is `about_home`.
     """
-    moved = robot.from_standard(np.tile([hip, thigh, calf], 4) * action)
-    return jnp.clip(robot.home_joints + moved, robot.lower, robot.upper)
+    offsets = robot.from_standard(np.tile([hip, thigh, calf], 4) * action)
+    return jnp.clip(robot.home_joints + offsets, robot.lower, robot.upper)
 
 
 def _compute_targets(robot: RobotConstants, action: jax.Array, reach: np.ndarray) -> jax.Array:

@@ -389,8 +389,8 @@ class QuadrupedEnv(Env):
         start: EnvState = state.pipeline_state
         before, after = self.get_body(start.body), self.get_body(body)
         home = jnp.asarray(after.robot.home_joints, jnp.float32)
-        moved = start.qpos[7:] - before.robot.home_joints
-        joints = jnp.clip(home + moved, after.robot.lower, after.robot.upper)
+        offsets = start.qpos[7:] - before.robot.home_joints
+        joints = jnp.clip(home + offsets, after.robot.lower, after.robot.upper)
         qpos = start.qpos.at[7:].set(joints)
         if self.config.reset.height is None:
             qpos = put_on_floor(after.robot.geometry, qpos, self.config.reset)

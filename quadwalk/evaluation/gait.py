@@ -291,9 +291,9 @@ def _measure_slip(
         if not stays.any():
             continue
         turn = to_rotations(orientations[2:, k]) * to_rotations(orientations[1:-1, k]).inv()
-        moved = np.diff(centers[1:, k], axis=0) + np.cross(turn.as_rotvec(), [0, 0, -radius])
-        moved = np.linalg.norm(moved[stays, :2], axis=1)
-        slips[k], slid[k] = moved.mean() / rollout.control_dt, moved.sum()
+        shifts = np.diff(centers[1:, k], axis=0) + np.cross(turn.as_rotvec(), [0, 0, -radius])
+        shifts = np.linalg.norm(shifts[stays, :2], axis=1)
+        slips[k], slid[k] = shifts.mean() / rollout.control_dt, shifts.sum()
     return slips, slid
 
 

@@ -94,11 +94,11 @@ class LoadedRun:
 
     def has_same_robot(self, other: "LoadedRun") -> bool:
         """Return True if both robots have the same joints, masses and control period."""
-        mine, theirs = self.env, other.env
+        env, other_env = self.env, other.env
         return (
-            mine.quadruped.joints == theirs.quadruped.joints
-            and np.array_equal(mine.mj_model.body_mass, theirs.mj_model.body_mass)
-            and math.isclose(mine.config.control_dt, theirs.config.control_dt)
+            env.quadruped.joints == other_env.quadruped.joints
+            and np.array_equal(env.mj_model.body_mass, other_env.mj_model.body_mass)
+            and math.isclose(env.config.control_dt, other_env.config.control_dt)
         )
 
 

@@ -192,7 +192,7 @@ def roll_out(
     # The number of the episode in each row of the batch; `count` and more: none.
     numbers = np.arange(room or count)
     waiting = iter(range(len(numbers), count))
-    states, done = take_starts(numbers), np.zeros(count)
+    states, step_counts = take_starts(numbers), np.zeros(count)
     records: defaultdict[int, list[Any]] = defaultdict(list)
     while np.any(numbers < count):
         states, outputs = step_chunk(env, policy, states)
@@ -203,14 +203,14 @@ def roll_out(
         for row in np.flatnonzero(numbers < count):
             number, last = int(numbers[row]), steps[row]
             records[number].append(_take(parts, (slice(last), row)))
-            done[number] = longest if is_over[row] else done[number] + last
+            step_counts[number] = longest if is_over[row] else step_counts[number] + last
             if is_over[row]:
                 episode = jax.tree.map(lambda *x: np.concatenate(x), *records.pop(number))
                 yield number, env.ends[ends[last - 1, row]], episode
                 numbers[row] = next(waiting, count)
                 is_new[row] = numbers[row] < count
         if report is not None:
-            report(round(done.mean()))
+            report(round(step_counts.mean()))
         if is_new.any():
             states = renew(is_new, take_starts(numbers), states)
 

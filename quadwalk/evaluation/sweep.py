@@ -259,7 +259,7 @@ def print_sweep(results: dict[str, Any]) -> None:
 
     Success is the share without a fall. A star marks the value of the robot's model.
     """
-    shown = {name: heading for name, heading in _COLUMNS.items() if name in results["nominal"]}
+    headings = {name: heading for name, heading in _COLUMNS.items() if name in results["nominal"]}
     rows: list[Sequence[str] | None] = []
     for sweep in results["sweeps"].values():
         heading = sweep["heading"] + (f", {sweep['unit']}" if sweep["unit"] else "")
@@ -268,14 +268,14 @@ def print_sweep(results: dict[str, Any]) -> None:
             star = "*" if point["value"] == sweep["nominal"] else " "
             success = f"{100 * point['success']:.0f} ({low:.0f} to {high:.0f})"
             name = "" if number else heading
-            figures = [format_value(point[figure]) for figure in shown]
+            figures = [format_value(point[figure]) for figure in headings]
             rows.append((name, f"{point['value']:g}{star}", success, *figures))
         rows.append(None)
     title = (
         f"{results['run']}: {results['episodes']} episodes at each point, mean ± 95 %, * the "
         "model's"
     )
-    print_table(title, ("", "value", "success, %", *shown.values()), rows)
+    print_table(title, ("", "value", "success, %", *headings.values()), rows)
 
 
 def draw_sweep(
@@ -292,19 +292,19 @@ def draw_sweep(
     """
     first = results[0]
     sweeps = first["sweeps"]
-    shown = list(names or sweeps)
-    rows = math.ceil(len(shown) / columns)
+    quantities = list(names or sweeps)
+    rows = math.ceil(len(quantities) / columns)
     text = title or f"{', '.join(result['run'] for result in results)}: robustness"
     text += f" ({first['episodes']} episodes of {first['seconds']:g} s at each point)"
     figure = make_figure((3.6 * columns, 0.8 + 2.9 * rows), text)
     top = max(
         point["speed"]["mean"]
         for result in results
-        for name in shown
+        for name in quantities
         for point in result["sweeps"][name]["points"]
     )
     panels: Any = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
-    for place, (axes, name) in enumerate(zip(panels, shown, strict=False)):
+    for place, (axes, name) in enumerate(zip(panels, quantities, strict=False)):
         tidy(axes, sweeps[name]["heading"], sweeps[name]["unit"])
         axes.set_ylim(-3, 106)
         axes.axvline(sweeps[name]["nominal"], color=INK, linewidth=1, linestyle=":")
@@ -320,11 +320,11 @@ def draw_sweep(
         speed.set_ylim(min(-0.03 * max(top, 0.1), 1.05 * lowest), 1.06 * max(top, 0.1))
         if place % columns == 0:
             axes.set_ylabel("episodes without a fall, %")
-        last = place % columns == columns - 1 or place == len(shown) - 1
+        last = place % columns == columns - 1 or place == len(quantities) - 1
         speed.tick_params(labelright=last)
         if last:
             speed.set_ylabel("speed, m/s")
-    for axes in panels[len(shown) :]:
+    for axes in panels[len(quantities) :]:
         axes.set_axis_off()
     _draw_legend(figure, [result["run"] for result in results])
     return figure

@@ -139,9 +139,9 @@ def _write_suite(
     suite, name, engine = loaded.policy.config.suite, loaded.run.name, loaded.env.engine
     files, has_commands = [], loaded.env.config.command.active
     # One environment for both, since each compiles its own programs.
-    held = gaits.to_held_run(loaded) if has_commands or suite == "commands" else loaded
+    held_run = gaits.to_held_run(loaded) if has_commands or suite == "commands" else loaded
     if has_commands:
-        files += _write_gaits(held, folder, results, seed)
+        files += _write_gaits(held_run, folder, results, seed)
     if suite == "standing":
         mujoco = standing.to_standing_run(loaded)
         with _show_progress(mujoco, f"{episodes} episodes of each condition") as report:
@@ -158,8 +158,8 @@ def _write_suite(
     if suite == "commands":
         changing = commands.to_changing_run(loaded)
         few, many = max(episodes // 4, 1), 16 * episodes
-        with _show_progress(held, f"{few} episodes of each command") as report:
-            steering = commands.measure_commands(held, few, seed, report)
+        with _show_progress(held_run, f"{few} episodes of each command") as report:
+            steering = commands.measure_commands(held_run, few, seed, report)
         with _show_progress(changing, f"{many} episodes of changing commands") as report:
             steering["changing"] = commands.measure_changing(changing, many, seed, report)
         results["steering"] = steering
@@ -170,17 +170,19 @@ def _write_suite(
     return files
 
 
-def _write_gaits(held: LoadedRun, folder: Path, results: dict[str, Any], seed: int) -> list[str]:
+def _write_gaits(
+    held_run: LoadedRun, folder: Path, results: dict[str, Any], seed: int
+) -> list[str]:
     """Add the gait at each command to `results`, and print it; return its picture's name.
 
-    `held` is of `gaits.to_held_run`. The suite "commands" has these panels in its own picture.
+    `held_run` is of `gaits.to_held_run`. The suite "commands" has these panels in its own picture.
     """
     with make_console().status("looking at the feet at each command"):
-        results["gaits"] = gaits.measure_gaits(held, seed)
+        results["gaits"] = gaits.measure_gaits(held_run, seed)
     gaits.print_gaits(results["gaits"])
-    if held.policy.config.suite == "commands":
+    if held_run.policy.config.suite == "commands":
         return []
-    save_figure(gaits.draw_gaits(results["gaits"], held.run.name), folder / "gaits.png")
+    save_figure(gaits.draw_gaits(results["gaits"], held_run.run.name), folder / "gaits.png")
     return ["gaits.png"]
 
 

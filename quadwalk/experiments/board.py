@@ -79,12 +79,12 @@ class Board(AbstractContextManager["Board"]):
         tasks = self._tasks.values()
         started = self._ended.total() + len(tasks)
         states = {**self._ended, "running": len(tasks), "waiting": self._count - started}
-        done = states.pop("done", 0)
+        finished_count = states.pop("done", 0)
         others = "".join(f", {number} {name}" for name, number in sorted(states.items()) if number)
         mean = self._steps / max(1, started)
         left = sum(task.remaining or 0.0 for task in tasks) + mean * states["waiting"]
         speed = sum(task.speed or 0.0 for task in tasks if not task.finished)
-        text = f"{done} of {self._count} done{others}  {_format_pace(left, speed)}"
+        text = f"{finished_count} of {self._count} done{others}  {_format_pace(left, speed)}"
         total = mean * self._count
         self._progress.update(self._all, total=total, completed=total - left, text=text)
         if not self._screen and time.monotonic() - self._spoke > _PLAIN_SECONDS:

@@ -82,14 +82,14 @@ def compare_variants(variants: Sequence[str], config: CompareConfig) -> None:
             print(format_row(results[job.name]), flush=True)
     except UserError as error:
         failure = error
-    done = [result for result in results.values() if "figures" in result]
-    if done:
+    successes = [result for result in results.values() if "figures" in result]
+    if successes:
         with open_atomic(config.runs / "compare.md") as file:
-            file.write(("\n".join((*heading, *map(format_row, done))) + "\n").encode())
-        write_json(config.runs / "compare.json", done)
+            file.write(("\n".join((*heading, *map(format_row, successes))) + "\n").encode())
+        write_json(config.runs / "compare.json", successes)
         histories = [
             (result["flags"] or "defaults", read_history(Run(config.runs / result["run"])))
-            for result in done
+            for result in successes
         ]
         save_figure(draw_bands(histories), config.runs / "compare.png")
         print(f"written to {config.runs}: compare.md, compare.json, compare.png")

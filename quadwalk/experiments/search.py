@@ -266,19 +266,19 @@ class Search:
         """Return the best trials as Markdown, and the commands that train with the best."""
         states = collections.Counter(trial.state.name.lower() for trial in self._study.trials)
         count = ", ".join(f"{number} {name}" for name, number in sorted(states.items()))
-        done = self._study.get_trials(states=[self._states.COMPLETE])
-        done.sort(key=lambda trial: trial.value, reverse=not self._low)
+        trials = self._study.get_trials(states=[self._states.COMPLETE])
+        trials.sort(key=lambda trial: trial.value, reverse=not self._low)
         lines = [
             f"| trial | {self._config.objective} | {' | '.join(self._space)} |",
             "|" + "---|" * (2 + len(self._space)),
         ]
-        for trial in done[:LISTED]:
+        for trial in trials[:LISTED]:
             values = round_values(trial.params)
             cells = [trial.number, f"{trial.value:.3f}", *(values[name] for name in self._space)]
             lines.append(f"| {' | '.join(map(str, cells))} |")
         lines += ["", f"{len(self._study.trials)} trials: {count}"]
-        if done:
-            lines += self._format_commands(round_values(done[0].params))
+        if trials:
+            lines += self._format_commands(round_values(trials[0].params))
         return "\n".join(lines)
 
     def _format_commands(self, values: Mapping[str, Any]) -> list[str]:

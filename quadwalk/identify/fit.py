@@ -45,7 +45,7 @@ class Value(NamedTuple):
     name: str  # a field of `Joints`
     joints: tuple[int, ...]
     described: float  # by the robot's description, or as the search began
-    found: float
+    estimate: float
     interval: float  # half of the 95 % interval
 
 

@@ -174,11 +174,11 @@ def _check_motion(path: Path, kind: str, angles: np.ndarray, joints: tuple[str, 
 
     `kind` is "position" or "target", for the message.
     """
-    moved = np.ptp(angles, axis=0)
-    if moved.min() < LEAST:
-        still = joints[int(moved.argmin())]
+    spans = np.ptp(angles, axis=0)
+    if spans.min() < LEAST:
+        still = joints[int(spans.argmin())]
         raise UserError(
-            f"{path}: the {kind} of {still} moves by {moved.min():.3f} rad; expected "
+            f"{path}: the {kind} of {still} moves by {spans.min():.3f} rad; expected "
             f"{LEAST:g} or more of every joint"
         )
 

@@ -90,9 +90,9 @@ def read_mcap(path: Path, joints: tuple[str, ...]) -> Log:
         reason = str(error) or type(error).__name__
         raise UserError(f"{path}: is no MCAP file that can be read ({reason})") from error
     places = [pose.pose.position for _, pose in messages[_POSE]]
-    moved = np.ptp([(p.x, p.y, p.z) for p in places], axis=0).max() if places else 0.0
-    if moved > STAND:
-        raise UserError(f"{path}: the trunk moves by {moved:.2f} m; expected a robot on a stand")
+    travel = np.ptp([(p.x, p.y, p.z) for p in places], axis=0).max() if places else 0.0
+    if travel > STAND:
+        raise UserError(f"{path}: the trunk moves by {travel:.2f} m; expected a robot on a stand")
     time, position = _read_angles(path, _ANGLES, messages[_ANGLES], joints)
     target_time, target = _read_angles(path, _TARGETS, messages[_TARGETS], joints)
     rows, target_rows = (

@@ -38,15 +38,17 @@ def _draw_angles(axes: Axes, fit: Fit, log: Log, joint: int, name: str) -> None:
     They are those in which its target moves most.
     """
     start = max(log.time[:-1], key=lambda t: _compute_path_length(log, joint, t))
-    shown = (log.time >= start) & (log.time <= start + WINDOW)
-    time = log.time[shown] - log.time[0]
-    held = (log.target_time >= start) & (log.target_time <= start + WINDOW)
-    target_time = log.target_time[held] - log.time[0]
+    rows = (log.time >= start) & (log.time <= start + WINDOW)
+    time = log.time[rows] - log.time[0]
+    target_rows = (log.target_time >= start) & (log.target_time <= start + WINDOW)
+    target_time = log.target_time[target_rows] - log.time[0]
     color = _COLORS["target"]
-    axes.step(target_time, log.target[held, joint], color, where="post", lw=1.0, label="target")
-    axes.plot(time, log.position[shown, joint], color=INK, lw=2.2, label="measured")
+    axes.step(
+        target_time, log.target[target_rows, joint], color, where="post", lw=1.0, label="target"
+    )
+    axes.plot(time, log.position[rows, joint], color=INK, lw=2.2, label="measured")
     for label, angles in (("description", fit.before), ("fit", fit.after)):
-        axes.plot(time, angles[shown, joint], color=_COLORS[label], lw=1.0, label=label)
+        axes.plot(time, angles[rows, joint], color=_COLORS[label], lw=1.0, label=label)
     axes.margins(y=0.2)
     _finish(axes, f"{name}, the worst of its kind", "rad", time)
 
@@ -59,8 +61,8 @@ def _compute_path_length(log: Log, joint: int, start: float) -> float:
     rows = slice(*np.searchsorted(log.time, (start, start + WINDOW)))
     if start + WINDOW > log.time[-1] or len(find_pieces(log.time[rows])) > 1:
         return 0.0
-    held = slice(*np.searchsorted(log.target_time, (start, start + WINDOW)))
-    return float(np.abs(np.diff(log.target[held, joint])).sum())
+    target_rows = slice(*np.searchsorted(log.target_time, (start, start + WINDOW)))
+    return float(np.abs(np.diff(log.target[target_rows, joint])).sum())
 
 
 def _draw_errors(axes: Axes, time: np.ndarray, errors: dict[str, np.ndarray], fit: Fit) -> None:
@@ -94,7 +96,7 @@ def _draw_constants(axes: Axes, fit: Fit, part: int) -> None:
         places = np.linspace(-0.2, 0.2, len(values) + 2)[1:-1]
         for place, value in zip(places, values, strict=True):
             color = LEG_COLORS[value.joints[0] // 3] if len(values) > 1 else INK
-            share, interval = (x / value.described for x in (value.found, value.interval))
+            share, interval = (x / value.described for x in (value.estimate, value.interval))
             axes.errorbar(share, row + place, xerr=interval, fmt="o", color=color, capsize=3)
     axes.axvline(1.0, color=_COLORS["description"], linewidth=1.2)
     axes.set_yticks(range(len(OF_URDF)), OF_URDF)

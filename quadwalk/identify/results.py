@@ -43,7 +43,7 @@ def is_sure(fit: Fit, value: Value) -> bool:
     constant or of the description's.
     """
     least = _SMALL_OFFSET if value.name in OFFSETS else 0.0
-    size = max(abs(value.found), value.described, least)
+    size = max(abs(value.estimate), value.described, least)
     return fit.explains and value.interval <= 0.5 * size
 
 
@@ -66,7 +66,7 @@ def make_urdf(fit: Fit, quadruped: Quadruped) -> str:
     for value in fit.values:
         if value.name in OF_URDF and is_sure(fit, value):
             joints = [quadruped.joints[joint] for joint in value.joints]
-            text = set_dynamics(text, joints, {value.name: [value.found] * len(joints)})
+            text = set_dynamics(text, joints, {value.name: [value.estimate] * len(joints)})
     return text
 
 
@@ -82,13 +82,13 @@ def make_flags(fit: Fit, urdf: Path, meshes: tuple[Path, ...]) -> list[str]:
     sure = [value for value in fit.values if is_sure(fit, value)]
     for value in sure:
         if value.name in ("kp", "kd"):
-            flags += [f"--env.motor.{value.name}", f"{value.found:.4g}"]
+            flags += [f"--env.motor.{value.name}", f"{value.estimate:.4g}"]
         elif value.name == "delay":
             aside = max(value.interval, LEAST_JITTER)
-            ends = max(value.found - aside, 0.0), value.found + aside
+            ends = max(value.estimate - aside, 0.0), value.estimate + aside
             flags += ["--env.randomization.latency", *(f"{end:.4f}" for end in ends)]
     for name, setting in _FACTORS.items():
-        shares = [v.interval / v.found for v in sure if v.name == name and v.found > 0]
+        shares = [v.interval / v.estimate for v in sure if v.name == name and v.estimate > 0]
         if shares:
             spread = min(max(*shares, LEAST_SPREAD), _MOST_SPREAD)
             ends = 1.0 - spread, 1.0 + spread
@@ -119,7 +119,7 @@ def to_json(
             "unit": UNITS[value.name],
             "joints": [quadruped.joints[joint] for joint in value.joints],
             "described": value.described,
-            "found": value.found,
+            "found": value.estimate,
             "interval95": value.interval,
             "sure": is_sure(fit, value),
         }
@@ -151,7 +151,7 @@ def print_results(fit: Fit, quadruped: Quadruped, rms: dict[str, float]) -> None
         (
             f"{value.name.replace('_', ' ')}, {label_joints(value, quadruped)}",
             f"{value.described:.4g}",
-            f"{value.found:.4g}",
+            f"{value.estimate:.4g}",
             f"{value.interval:.2g}" + ("" if is_sure(fit, value) else " (unsure)"),
             UNITS[value.name],
         )
@@ -162,7 +162,7 @@ def print_results(fit: Fit, quadruped: Quadruped, rms: dict[str, float]) -> None
     texts: list[list[str]] = [[joint] for joint in quadruped.joints]
     for value in fit.values:
         if value.name in OFFSETS:
-            numbers = f"{1e3 * value.found:z.2f}", f"{1e3 * value.interval:.2g}"
+            numbers = f"{1e3 * value.estimate:z.2f}", f"{1e3 * value.interval:.2g}"
             texts[value.joints[0]] += numbers
     headings = ("", "of the angle", "± 95 %", "of the target", "± 95 %")
     print_table("offsets, mrad", headings, texts)

@@ -132,8 +132,8 @@ def average_targets(log: Log, times: np.ndarray, delay: float) -> np.ndarray:
     delay, where single values jump.
     """
     knots = np.concatenate([[times[0] - 1e3], log.target_time, [times[-1] + 1e3]])
-    held = np.concatenate([log.target[:1], log.target])
-    area = np.concatenate([np.zeros((1, 12)), np.cumsum(held * np.diff(knots)[:, None], axis=0)])
+    targets = np.concatenate([log.target[:1], log.target])
+    area = np.concatenate([np.zeros((1, 12)), np.cumsum(targets * np.diff(knots)[:, None], axis=0)])
     late = np.stack([np.interp(times - delay, knots, angle) for angle in area.T], axis=1)
     return np.diff(late, axis=0) / np.diff(times)[:, None]
 

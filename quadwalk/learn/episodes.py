@@ -193,7 +193,7 @@ def retry_conditions(again: jax.Array, after: State, starts: State) -> Any:
 class NanStep(NamedTuple):
     """The first step of an iteration after which numbers were not finite, for replay."""
 
-    found: jax.Array  # () float32, more than 0 if there was one; else the rest means nothing
+    flag: jax.Array  # () float32, more than 0 if there was one; else the rest means nothing
     before: Any  # the environment's `pipeline_state` before the step
     action: jax.Array  # (12,) of the step
 
@@ -224,7 +224,7 @@ def reduce_metrics(metrics: Metrics, nan_step: NanStep, axis: str) -> Metrics:
     return {
         **jax.lax.psum(counts, axis),
         **jax.lax.pmean(means, axis),
-        "nan_step": jax.tree.map(lambda x: x[jnp.argmax(nan_steps.found > 0)], nan_steps),
+        "nan_step": jax.tree.map(lambda x: x[jnp.argmax(nan_steps.flag > 0)], nan_steps),
     }
 
 
@@ -232,5 +232,5 @@ def find_first_nan(earlier: NanStep, nan: jax.Array, before: State, action: jax.
     """Return `earlier` if it was found, else the first environment of a step with `nan` (n,)."""
     index = jnp.argmax(nan)
     step = jax.tree.map(lambda x: x[index], (before.pipeline_state, action))
-    found = NanStep(nan[index], *step)
-    return jax.tree.map(lambda old, new: jnp.where(earlier.found > 0, old, new), earlier, found)
+    nan_step = NanStep(nan[index], *step)
+    return jax.tree.map(lambda old, new: jnp.where(earlier.flag > 0, old, new), earlier, nan_step)

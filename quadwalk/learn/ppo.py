@@ -159,7 +159,7 @@ class PPO:
             return (following, nan_step), (transition, compute_metrics(after, training_envs))
 
         nan_step = NanStep(
-            found=jnp.zeros(()),
+            flag=jnp.zeros(()),
             before=jax.tree.map(lambda x: jnp.zeros_like(x[0]), before.pipeline_state),
             action=jnp.zeros(env.action_size),
         )
@@ -442,6 +442,6 @@ class Iteration:
         return self._collect(self._env, learner, workers)
 
     def __call__(self, state: TrainState) -> tuple[TrainState, Metrics]:
-        workers, rollout, collected, key = self.collect(*state)
-        learner, learned = self.learn(state.learner, rollout, key)
-        return TrainState(learner, workers), {**collected, **learned}
+        workers, rollout, collect_metrics, key = self.collect(*state)
+        learner, learn_metrics = self.learn(state.learner, rollout, key)
+        return TrainState(learner, workers), {**collect_metrics, **learn_metrics}

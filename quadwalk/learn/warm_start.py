@@ -256,8 +256,8 @@ def measure_reach(env: QuadrupedEnv) -> np.ndarray:
     changes = [more - none, less - none]
     if env.config.unit_leg is not None:
         changes = [np.asarray(env.robot.to_standard(change)) for change in changes]
-    moved = np.max(np.abs(changes), axis=0)
-    return np.where(moved > 0.0, moved / action, 1.0)
+    motions = np.max(np.abs(changes), axis=0)
+    return np.where(motions > 0.0, motions / action, 1.0)
 
 
 def change_inputs(params: Any, rows: np.ndarray, turn: np.ndarray, scale: np.ndarray) -> Any:

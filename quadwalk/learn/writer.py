@@ -59,7 +59,7 @@ class RunWriter:
         self._try_to_write("metrics", lambda: self._log.append(row, timing))
         if (wandb := self._wandb) is not None:
             self._try_to_write("wandb", lambda: wandb.append({**row, **timing}))
-        if nan_step.found > 0:
+        if nan_step.flag > 0:
             self._try_to_write("nan", lambda: self._keep_nan_step(nan_step, int(row["steps"])))
         if time.monotonic() > self._draw_at:
             self.draw_curve()

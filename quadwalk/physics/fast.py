@@ -187,8 +187,8 @@ def _find_ground_below(
     # In two parts: XLA would read heights again wherever something that follows from them is used.
     triangles = materialize(barrier, read, centers, x, y)
     altitudes = tuple(height + center[2] for center in centers)
-    found: tuple[GroundBelow, ...] = materialize(barrier, interpolate, triangles, altitudes)
-    return found
+    ground_below: tuple[GroundBelow, ...] = materialize(barrier, interpolate, triangles, altitudes)
+    return ground_below
 
 
 def integrate(state: PhysicsState, acceleration: jax.Array, dt: float) -> PhysicsState:
@@ -205,13 +205,13 @@ def integrate(state: PhysicsState, acceleration: jax.Array, dt: float) -> Physic
     cos = jnp.cos(0.5 * angle)
     x, y, z = share * x, share * y, share * z
     a, b, c, d = state.qpos[3:7]
-    turned = (
+    parts = (
         a * cos - b * x - c * y - d * z,
         a * x + b * cos + c * z - d * y,
         a * y - b * z + c * cos + d * x,
         a * z + b * y - c * x + d * cos,
     )
-    quat = jnp.stack(turned)
+    quat = jnp.stack(parts)
     quat = quat / jnp.linalg.norm(quat, axis=0)
     qpos = jnp.concatenate([position, quat, state.qpos[7:] + dt * qvel[6:]])
     return PhysicsState(qpos, qvel)

@@ -348,16 +348,16 @@ def _make_shells(
         by_leg = [by_body[body] for body in bodies[:, link]]
         for i in range(max(map(len, by_leg))):
             exists = np.array([i < len(shapes) for shapes in by_leg])
-            chosen = np.array([shapes[i] if i < len(shapes) else 0 for shapes in by_leg])
-            axes = np.array([compute_rotation(quat).T for quat in model.geom_quat[chosen]])
+            geom_ids = np.array([shapes[i] if i < len(shapes) else 0 for shapes in by_leg])
+            axes = np.array([compute_rotation(quat).T for quat in model.geom_quat[geom_ids]])
             shells.append(
                 Shell(
                     link=link,
-                    kind=tuple(np.where(exists, model.geom_type[chosen], -1).tolist()),
-                    center=_to_leg_vector(model.geom_pos[chosen]),
+                    kind=tuple(np.where(exists, model.geom_type[geom_ids], -1).tolist()),
+                    center=_to_leg_vector(model.geom_pos[geom_ids]),
                     axes=_to_leg_matrix(axes),
-                    size=_to_leg_vector(model.geom_size[chosen]),
-                    long=_find_longest_axes(model.geom_size[chosen].sum(axis=0), 1),
+                    size=_to_leg_vector(model.geom_size[geom_ids]),
+                    long=_find_longest_axes(model.geom_size[geom_ids].sum(axis=0), 1),
                 )
             )
     return tuple(shells)

@@ -127,8 +127,8 @@ class Progress:
             task.total = min(self._total, steps + task.speed * max(0.0, self._ends - now))
         left = math.nan if task.time_remaining is None else task.time_remaining
         rate = format_quantity(task.finished_speed or task.speed or math.nan)
-        done = f"{format_quantity(steps)}/{format_quantity(self._total)}"
-        view.pace = f"{done} steps  {rate} steps/s  {format_duration(left)} left"
+        steps_text = f"{format_quantity(steps)}/{format_quantity(self._total)}"
+        view.pace = f"{steps_text} steps  {rate} steps/s  {format_duration(left)} left"
         view.refresh()
         if not self._screen and (steps >= self._total or now - self._shown >= _PLAIN_SECONDS):
             self._shown = now

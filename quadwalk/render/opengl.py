@@ -51,13 +51,13 @@ def choose_library() -> str | None:
     Without it a machine that has a screen, or is not Linux, uses its window system. Others use
     OSMesa or EGL, whichever is installed.
     """
-    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
-    if wanted in _OFF:
+    choice = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if choice in _OFF:
         return None
-    if wanted in ("osmesa", "egl"):
-        return wanted
+    if choice in ("osmesa", "egl"):
+        return choice
     screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if wanted or screen or sys.platform != "linux":
+    if choice or screen or sys.platform != "linux":
         return "window"
     for library, name in (("OSMesa", "osmesa"), ("EGL", "egl")):
         if ctypes.util.find_library(library):

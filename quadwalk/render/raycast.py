@@ -27,8 +27,8 @@ class RayPainter:
         self._model = _enlarge_bounds(model)
         self._shader = Shader(model)
         self._groups = mujoco.MjvOption().geomgroup
-        shown = self._groups[model.geom_group].astype(bool) & (model.geom_bodyid == 0)
-        fields = np.flatnonzero(shown & (model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD))
+        mask = self._groups[model.geom_group].astype(bool) & (model.geom_bodyid == 0)
+        fields = np.flatnonzero(mask & (model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD))
         self._fields = [_Field(self._model, int(geom)) for geom in fields]
 
     def paint(self, data: mujoco.MjData, scene: mujoco.MjvScene) -> np.ndarray:

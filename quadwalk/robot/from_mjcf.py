@@ -257,8 +257,8 @@ class _Writer:
             at = model.jnt_pos[joint]
             link = self.link_names[body]
             if joint != joints[-1]:
-                taken = {*self.link_names.values()}
-                link = make_unique(f"{self.joint_names[joint]}_link", taken)
+                link_names = {*self.link_names.values()}
+                link = make_unique(f"{self.joint_names[joint]}_link", link_names)
                 etree.SubElement(robot, "link", name=link)
             self._add_moving(robot, joint, above, link, frame, speed)
             above, frame = link, np.eye(4)

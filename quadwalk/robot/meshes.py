@@ -70,7 +70,7 @@ def find_mesh(name: str, folders: list[Path], source: str) -> Path:
     else:
         path = unquote(place.path) if place.scheme == "file" else name
         candidates = [folder / path for folder in folders]
-    shown = ", ".join(f"'{folder}'" for folder in folders) or "no folder"
+    listing = ", ".join(f"'{folder}'" for folder in folders) or "no folder"
     outside = False
     for candidate in candidates:
         try:
@@ -82,8 +82,12 @@ def find_mesh(name: str, folders: list[Path], source: str) -> Path:
         except (OSError, ValueError):  # a name that no file can have
             continue
     if outside:
-        raise UrdfError(f"{where} lies outside {shown}; expected inside, or pass --robot.mesh-dirs")
-    raise MissingMeshError(f"{where} is not in {shown}; expected a file, or pass --robot.mesh-dirs")
+        raise UrdfError(
+            f"{where} lies outside {listing}; expected inside, or pass --robot.mesh-dirs"
+        )
+    raise MissingMeshError(
+        f"{where} is not in {listing}; expected a file, or pass --robot.mesh-dirs"
+    )
 
 
 def find_by_name(name: str, folders: list[Path]) -> Path | None:

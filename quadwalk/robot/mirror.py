@@ -130,10 +130,10 @@ class _Image:
         """Compare the joints' places, axes, standing angles, limits and motors."""
         quadruped, joints, sign = self._quadruped, self.joints, self.sign
         names, home, dofs = quadruped.joints, quadruped.home[7:], self._model.jnt_dofadr[1:]
-        moved = self._anchors[joints] - self._anchors @ _FLIP
-        yield "place", names, moved, PLACE * self._height
-        turned = self._axes[joints] + sign[:, None] * (self._axes @ _FLIP)
-        yield "axis", names, turned, PLACE
+        place_errors = self._anchors[joints] - self._anchors @ _FLIP
+        yield "place", names, place_errors, PLACE * self._height
+        axis_errors = self._axes[joints] + sign[:, None] * (self._axes @ _FLIP)
+        yield "axis", names, axis_errors, PLACE
         yield "standing angle", names, sign * home[joints] - home, PLACE
         lower = np.where(sign > 0, quadruped.lower[joints], -quadruped.upper[joints])
         upper = np.where(sign > 0, quadruped.upper[joints], -quadruped.lower[joints])
@@ -169,8 +169,8 @@ class _Image:
                 places = self.find_centers(names)
                 radii = np.array([model.geom(name).size[0] for name in names])
                 images = _find_images(places)
-                moved = places[images] - places @ _FLIP
-                yield f"place of {names[0]}", names, moved, most
+                place_errors = places[images] - places @ _FLIP
+                yield f"place of {names[0]}", names, place_errors, most
                 yield f"radius of {names[0]}", names, radii[images] - radii, most
 
 

@@ -56,8 +56,8 @@ def open_meshes(urdf: Urdf, options: Options, report: Report) -> Meshes:
     folders = [folder for folder in (urdf.folder, *options.mesh_folders) if folder]
     if urdf.mesh_folder:
         # As MuJoCo has it, from the URDF's folder; a run's copy of the URDF has that as another.
-        named = [folder / urdf.mesh_folder for folder in folders]
-        folders = [*(f for f in named if is_inside(f, folders)), *folders]
+        mesh_folders = [folder / urdf.mesh_folder for folder in folders]
+        folders = [*(f for f in mesh_folders if is_inside(f, folders)), *folders]
     return Meshes(folders if options.meshes else None, urdf.source, report)
 
 
@@ -96,9 +96,9 @@ def convert(urdf: Urdf, legs: tuple[Leg, ...] = (), options: Options | None = No
 
 def choose_pose(urdf: Urdf, legs: tuple[Leg, ...], report: Report) -> np.ndarray:
     """Return the joint angles (12,), rad, of the home pose: as stated, or from geometry."""
-    stated = find_stated_pose(urdf.tree, legs, urdf.home)
-    if stated is not None:
-        return stated
+    pose = find_stated_pose(urdf.tree, legs, urdf.home)
+    if pose is not None:
+        return pose
     if urdf.home:
         note = "a home pose from the legs' geometry, for in the file's own it would not stand"
         report.add("assumed", note)

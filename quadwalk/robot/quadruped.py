@@ -196,8 +196,8 @@ def complete_motors(urdf: Urdf, legs: tuple[Leg, ...], options: Options) -> Urdf
 
 def _shorten(names: list[str]) -> str:
     """Return the first two names and the number of others, as in "'a' and 'b' and 3 more"."""
-    shown = " and ".join(f"'{name}'" for name in names[:2])
-    return shown + (f" and {len(names) - 2} more" if names[2:] else "")
+    text = " and ".join(f"'{name}'" for name in names[:2])
+    return text + (f" and {len(names) - 2} more" if names[2:] else "")
 
 
 def list_joints(spec: mujoco.MjSpec, legs: tuple[Leg, ...]) -> list[str]:

@@ -36,7 +36,7 @@ class Report:
         lines = []
         for kind, notes in self._notes.items():
             for note, elements in notes.items():
-                shown = ", ".join(" ".join(name.splitlines()) for name in elements[:most])
+                listing = ", ".join(" ".join(name.splitlines()) for name in elements[:most])
                 more = f" and {len(elements) - most} more" if len(elements) > most else ""
-                lines.append(f"{kind}: {note}" + (f": {shown}{more}" if elements else ""))
+                lines.append(f"{kind}: {note}" + (f": {listing}{more}" if elements else ""))
         return lines

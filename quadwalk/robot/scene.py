@@ -120,8 +120,8 @@ def add_home(spec: mujoco.MjSpec, pose: np.ndarray | None, feet: list[str]) -> N
         follower, leader = model.eq_obj1id[row], model.eq_obj2id[row]
         offset, factor = model.eq_data[row, :2]
         at = model.jnt_qposadr
-        led = qpos[at[leader]] if leader >= 0 else 0.0  # by a joint that is fixed
-        qpos[at[follower]] = offset + factor * led
+        leader_angle = qpos[at[leader]] if leader >= 0 else 0.0  # by a joint that is fixed
+        qpos[at[follower]] = offset + factor * leader_angle
     if floating:
         data = mujoco.MjData(model)
         data.qpos[:] = qpos

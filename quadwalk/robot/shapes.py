@@ -44,8 +44,8 @@ class Shapes:
     def add_link(self, body: mujoco.MjsBody, tree: Tree, name: str) -> None:
         """Add the geoms of link `name` to the body that carries it."""
         link, placement = tree.links[name], tree.placement[name]
-        shown = [self._add_visual(body, name, visual, placement) for visual in link.visuals]
-        stand_in = link.collisions and not any(shown) and (self.invisible or link.visuals)
+        visuals = [self._add_visual(body, name, visual, placement) for visual in link.visuals]
+        stand_in = link.collisions and not any(visuals) and (self.invisible or link.visuals)
         if stand_in:
             self.report.add("assumed", "shown by their collision shapes", name)
         leg = self.legs.get(name)

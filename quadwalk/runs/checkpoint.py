@@ -113,10 +113,10 @@ def _name_leaves(tree: Any) -> tuple[list[tuple[str, Any]], Any]:
         return urllib.parse.quote(jax.tree_util.keystr((key,), simple=True), safe="")
 
     flat, structure = jax.tree_util.tree_flatten_with_path(tree)
-    named = [("/".join(map(quote_key, keys)), leaf) for keys, leaf in flat]
-    if len({name for name, _ in named}) < len(named):
+    pairs = [("/".join(map(quote_key, keys)), leaf) for keys, leaf in flat]
+    if len({name for name, _ in pairs}) < len(pairs):
         raise ValueError("two leaves of the tree have the same path")
-    return named, structure
+    return pairs, structure
 
 
 def _to_numpy(name: str, leaf: Any) -> np.ndarray:
@@ -151,8 +151,8 @@ def _read_member(archive: zipfile.ZipFile, name: str) -> bytes:
 
 def _fill_structure(path: Path, leaves: dict[str, np.ndarray], like: Any) -> Any:
     """Put the leaves into the structure of `like`; `UserError` for what does not fit."""
-    named, structure = _name_leaves(like)
-    expected = dict(named)
+    pairs, structure = _name_leaves(like)
+    expected = dict(pairs)
     # States that version 0.1 saved have the acceleration that its contact solver started from.
     leaves = {name: leaf for name, leaf in leaves.items() if not name.endswith("physics/warmstart")}
     problems = [

@@ -163,8 +163,8 @@ def _make_unknown_run_error(root: Path, which: str, packaged: Sequence[str] = ()
     expected = f"there is none in {root} yet"
     if names:
         more = f" and {len(names) - _LISTED} older" if len(names) > _LISTED else ""
-        shown = ", ".join(names[:_LISTED])
-        expected = f"expected 'latest', a path, or one in {root}: {shown}{more}"
+        listing = ", ".join(names[:_LISTED])
+        expected = f"expected 'latest', a path, or one in {root}: {listing}{more}"
     trained = f"; {', '.join(packaged)} come trained" if packaged else ""
     hint = suggest(which, [*names, *packaged])
     return UsageError(f"no run {which!r}: {expected}{trained}{hint}")

@@ -170,11 +170,15 @@ def measure_session(run: Run, session: Session) -> dict[str, Any]:
     times = {row["steps"]: row["processor"] for row in json.loads((run.path / TIMES).read_text())}
     lines = [json.loads(line) for line in run.desk.read_text().splitlines()]
     changes = [{**line, "processor": times[line["steps"]]} for line in lines]
-    kept = {int(path.name): Run(path) for path in (run.path / POLICIES).iterdir()}
-    kept[max(times)] = run
+    saved_runs = {int(path.name): Run(path) for path in (run.path / POLICIES).iterdir()}
+    saved_runs[max(times)] = run
     policies = [
-        {"steps": steps, "processor": times[steps], **measure_policy(kept[steps], session.command)}
-        for steps in sorted(kept)
+        {
+            "steps": steps,
+            "processor": times[steps],
+            **measure_policy(saved_runs[steps], session.command),
+        }
+        for steps in sorted(saved_runs)
     ]
     return {"changes": changes, "policies": policies}
 

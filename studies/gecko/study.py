@@ -72,9 +72,9 @@ def make_variants() -> dict[str, TrainConfig]:
         variants[name] = task
         variants |= {f"{name}, {cause}": exchange(task, other, cause) for cause in CAUSES}
         variants[f"{name}, all of them"] = exchange(task, other, *CAUSES)
-    post, ours = load_task("blog"), load_task("sprint")
+    post, sprint = load_task("blog"), load_task("sprint")
     variants["blog, action 0"] = change_settings(post, ABOUT_STANDING)
-    variants["sprint, action mapping and falls"] = exchange(ours, post, "action mapping", "falls")
+    variants["sprint, action mapping and falls"] = exchange(sprint, post, "action mapping", "falls")
     return variants
 
 

@@ -166,17 +166,19 @@ def test_for_the_alien_go_the_task_is_drive(quadruped):
 def test_standard_joints_move_the_feet_of_all_bodies_alike(figures):
     """Check that feet under the same hips go the same way, wherever the knees are."""
     behind = dataclasses.replace(figures[0], front_knees=False, hind_knees=False)
-    moved = np.array([0.0, 0.02, -0.03] * 4)
+    joint_changes = np.array([0.0, 0.02, -0.03] * 4)
     places = []
     for body in (behind, figures[0]):
         quadruped = make_body(body)
         env = QuadrupedEnv(quadruped, universal.TASK.env)
         model, robot = env.mj_model, env.robot
-        np.testing.assert_allclose(robot.to_standard(robot.from_standard(moved)), moved, atol=1e-6)
+        np.testing.assert_allclose(
+            robot.to_standard(robot.from_standard(joint_changes)), joint_changes, atol=1e-6
+        )
         feet = [model.geom(name).id for name in quadruped.feet]
         home = place_robot(model, quadruped.home).geom_xpos[feet]
         qpos = quadruped.home.copy()
-        qpos[7:] += robot.from_standard(moved)
+        qpos[7:] += robot.from_standard(joint_changes)
         places.append((place_robot(model, qpos).geom_xpos[feet] - home) / body.leg)
     assert np.abs(places[0]).max() > 0.01
     np.testing.assert_allclose(places[0], places[1], atol=6e-4)
@@ -216,10 +218,10 @@ def test_a_start_becomes_one_of_another_body(env, starts, bodies, figures):
     place = (int(places[0]) + 1) % BODIES
     start = env.start_with_body(first, jnp.int32(place)).pipeline_state
     before, after = (bodies[k] for k in (int(places[0]), place))
-    moved = np.clip(
+    angles = np.clip(
         after.home[7:] + first.pipeline_state.qpos[7:] - before.home[7:], after.lower, after.upper
     )
-    np.testing.assert_allclose(start.qpos[7:], moved, atol=1e-5)
+    np.testing.assert_allclose(start.qpos[7:], angles, atol=1e-5)
     soles, _ = fast.compute_lowest_points(env.get_body(place).robot.geometry, start.qpos)
     assert np.min(soles[:, 2]) == pytest.approx(0.0, abs=1e-5)
     command, expected = start.command.velocity, first.pipeline_state.command.velocity

@@ -29,7 +29,7 @@ DRIVEN = dataclasses.replace(drive.TASK.env.command, margin=0.0)
 
 
 @pytest.fixture(scope="module")
-def told(env) -> QuadrupedEnv:
+def command_env(env) -> QuadrupedEnv:
     """Return an environment of the same robot, with a new command every three control steps."""
     command = dataclasses.replace(TOLD, seconds=PERIOD * 0.02, turning=1.0)
     ideal = NO_RANDOMIZATION  # what is seen is so
@@ -38,15 +38,15 @@ def told(env) -> QuadrupedEnv:
 
 
 @pytest.fixture(scope="module")
-def step(told):
+def step(command_env):
     """Return the compiled step of two episodes."""
-    return jax.jit(jax.vmap(told.step))
+    return jax.jit(jax.vmap(command_env.step))
 
 
 @pytest.fixture(scope="module")
-def course(told, step):
+def course(command_env, step):
     """Return the states of two episodes before and after each of eight steps."""
-    states = [jax.jit(jax.vmap(told.reset))(jax.random.split(jax.random.PRNGKey(1), 2))]
+    states = [jax.jit(jax.vmap(command_env.reset))(jax.random.split(jax.random.PRNGKey(1), 2))]
     for _ in range(8):
         states.append(step(states[-1], jnp.full((2, 12), 0.1)))
     return states
@@ -65,10 +65,10 @@ def many(config: CommandConfig, *grip: float) -> np.ndarray:
 
 
 def test_commands_fill_their_ranges_and_some_are_to_stand():
-    drawn = many(TOLD)
-    standing = ~drawn.any(axis=1)
+    velocities = many(TOLD)
+    standing = ~velocities.any(axis=1)
     assert 0.17 < standing.mean() < 0.23
-    moving = drawn[~standing]
+    moving = velocities[~standing]
     for column, (low, high) in enumerate([TOLD.forward, TOLD.lateral, TOLD.yaw_rate]):
         assert moving[:, column].min() == pytest.approx(low, abs=0.01)
         assert moving[:, column].max() == pytest.approx(high, abs=0.01)
@@ -77,36 +77,36 @@ def test_commands_fill_their_ranges_and_some_are_to_stand():
 
 
 def test_some_commands_are_to_turn_on_the_spot_as_fast_as_any():
-    told = dataclasses.replace(DRIVEN, spot=0.3)
+    config = dataclasses.replace(DRIVEN, spot=0.3)
     keys = jax.random.split(jax.random.PRNGKey(0), 4000)
-    drawn = np.asarray(jax.vmap(lambda key: sample_velocity(told, key))(keys))
-    spot = ~drawn[:, :2].any(axis=1) & drawn.any(axis=1)
+    velocities = np.asarray(jax.vmap(lambda key: sample_velocity(config, key))(keys))
+    spot = ~velocities[:, :2].any(axis=1) & velocities.any(axis=1)
     assert 0.27 < spot.mean() < 0.33
-    low, high = told.yaw_rate
-    assert drawn[spot, 2].min() == pytest.approx(low, abs=0.02)
-    assert drawn[spot, 2].max() == pytest.approx(high, abs=0.02)
+    low, high = config.yaw_rate
+    assert velocities[spot, 2].min() == pytest.approx(low, abs=0.02)
+    assert velocities[spot, 2].max() == pytest.approx(high, abs=0.02)
 
 
 def test_some_commands_are_straight_ahead_or_back():
-    drawn = many(dataclasses.replace(TOLD, straight=0.5))
-    standing = ~drawn.any(axis=1)
-    straight = ~drawn[:, 1:].any(axis=1) & ~standing
+    velocities = many(dataclasses.replace(TOLD, straight=0.5))
+    standing = ~velocities.any(axis=1)
+    straight = ~velocities[:, 1:].any(axis=1) & ~standing
     assert 0.17 < standing.mean() < 0.23
     assert 0.47 < straight.mean() < 0.53
-    assert drawn[straight, 0].min() == pytest.approx(-0.5, abs=0.01)
-    assert drawn[straight, 0].max() == pytest.approx(1.5, abs=0.01)
+    assert velocities[straight, 0].min() == pytest.approx(-0.5, abs=0.01)
+    assert velocities[straight, 0].max() == pytest.approx(1.5, abs=0.01)
 
 
 @pytest.mark.parametrize(
-    ("shares", "named"),
+    ("shares", "message"),
     [
         ({"straight": 1.5}, "env.command.straight is 1.5"),
         ({"straight": 0.9}, "--env.command.standing is 0.2, --env.command.straight 0.9"),
         ({"spot": 0.9}, "--env.command.straight 0.0 and --env.command.spot 0.9"),
     ],
 )
-def test_shares_are_shares(shares, named):
-    with pytest.raises(UsageError, match=named):
+def test_shares_are_shares(shares, message):
+    with pytest.raises(UsageError, match=message):
         dataclasses.replace(TOLD, **shares)
 
 
@@ -133,30 +133,30 @@ def test_lateral_commands_fade_and_turns_are_bounded():
 
 def test_training_goes_beyond_the_ranges_by_their_margin():
     wide = dataclasses.replace(DRIVEN, margin=0.1, lateral_until=None)
-    drawn = many(wide, 9.81)
+    velocities = many(wide, 9.81)
     # A tenth wider: by 0.275 m/s at either end of 5.5 m/s, by 0.05 of 1 m/s, by 0.2 of 4 rad/s.
     ends = np.array([[-1.275, -0.55, -2.2], [4.775, 0.55, 2.2]])
-    np.testing.assert_allclose(drawn.min(axis=0), ends[0], atol=0.03)
-    np.testing.assert_allclose(drawn.max(axis=0), ends[1], atol=0.03)
-    centripetal = np.abs(drawn[:, 0] * drawn[:, 2])
+    np.testing.assert_allclose(velocities.min(axis=0), ends[0], atol=0.03)
+    np.testing.assert_allclose(velocities.max(axis=0), ends[1], atol=0.03)
+    centripetal = np.abs(velocities[:, 0] * velocities[:, 2])
     assert 4.3 < centripetal.max() <= 4.4 + 1e-4  # m/s^2
     # Rewards count all of what is commanded.
-    told = Command(jnp.array([4.0, 0.0, 1.1]), jax.random.PRNGKey(0))
+    command = Command(jnp.array([4.0, 0.0, 1.1]), jax.random.PRNGKey(0))
     for config, turn in ((wide, 1.1), (DRIVEN, 1.0)):
         config = dataclasses.replace(config, acceleration=None)
-        found = compute_target_velocity(config, told, jnp.asarray(4.0), 9.81)
-        np.testing.assert_allclose(found, [4.0, 0.0, turn], rtol=1e-6)
+        target_velocity = compute_target_velocity(config, command, jnp.asarray(4.0), 9.81)
+        np.testing.assert_allclose(target_velocity, [4.0, 0.0, turn], rtol=1e-6)
 
 
 def test_of_a_turn_counts_what_friction_bears_at_the_robots_speed():
-    driven = dataclasses.replace(DRIVEN, acceleration=None)
-    told = Command(jnp.array([0.0, 0.1, -2.0]), jax.random.PRNGKey(0))
+    config = dataclasses.replace(DRIVEN, acceleration=None)
+    command = Command(jnp.array([0.0, 0.1, -2.0]), jax.random.PRNGKey(0))
     # 4 m/s^2, or half of what friction bears; at a stand all of it.
     for speed, grip, turn in ((0.0, 9.81, -2.0), (4.0, 9.81, -1.0), (4.0, 4.0, -0.5)):
-        found = compute_target_velocity(driven, told, jnp.asarray(speed), grip)
-        np.testing.assert_allclose(found, [0.0, 0.1, turn], rtol=1e-6)
+        target_velocity = compute_target_velocity(config, command, jnp.asarray(speed), grip)
+        np.testing.assert_allclose(target_velocity, [0.0, 0.1, turn], rtol=1e-6)
     np.testing.assert_array_equal(
-        compute_target_velocity(TOLD, told, jnp.asarray(4.0), 9.81), told.velocity
+        compute_target_velocity(TOLD, command, jnp.asarray(4.0), 9.81), command.velocity
     )
 
 
@@ -171,71 +171,76 @@ def test_a_velocity_counts_as_if_commands_came_to_it_at_a_rate():
     ):
         command = command._replace(velocity=jnp.array([*velocity, 0.3]))
         for expected in way:
-            found = compute_target_velocity(config, command, jnp.asarray(0.0), 9.81)
-            np.testing.assert_allclose(found, [*expected, 0.3], atol=1e-6)
+            target_velocity = compute_target_velocity(config, command, jnp.asarray(0.0), 9.81)
+            np.testing.assert_allclose(target_velocity, [*expected, 0.3], atol=1e-6)
             command = advance_command(config, command, jnp.asarray(1), 0.25)
 
 
 def test_commands_hold_for_a_random_time():
-    driven = drive.TASK.env.command
+    config = drive.TASK.env.command
 
     @jax.jit
     def course(key):
         def step(command, steps):
-            command = advance_command(driven, command, steps, 0.02)
+            command = advance_command(config, command, steps, 0.02)
             return command, command.velocity
 
-        return jax.lax.scan(step, start_command(driven, key, 0.02), jnp.arange(1, 4001))[1]
+        return jax.lax.scan(step, start_command(config, key, 0.02), jnp.arange(1, 4001))[1]
 
     velocity = np.asarray(course(jax.random.PRNGKey(0)))
-    changed = np.flatnonzero(np.diff(velocity, axis=0).any(axis=1))
-    holds = np.diff(changed) * 0.02  # s; the sum of two where one command to stand follows another
+    change_steps = np.flatnonzero(np.diff(velocity, axis=0).any(axis=1))
+    # In s; the sum of two where one command to stand follows another.
+    holds = np.diff(change_steps) * 0.02
     assert holds.min() >= 2.0 - 1e-6
     assert np.all((holds < 5.0 + 1e-6) | (holds >= 4.0))
     assert 3.2 < np.median(holds) < 3.9
     with pytest.raises(UsageError, match=r"env.command.soonest is 6.0; expected at most .*5.0"):
-        dataclasses.replace(driven, soonest=6.0)
+        dataclasses.replace(config, soonest=6.0)
 
 
 def test_an_episode_is_told_anew_on_time(course):
-    told = np.array([state.pipeline_state.command.velocity for state in course])
-    assert told.shape == (9, 2, 3)
-    np.testing.assert_array_equal(told[:, :, 1] * ~(told == 0).all(axis=2), told[:, :, 1])
-    new = (np.diff(told, axis=0) != 0).any(axis=2)
+    velocities = np.array([state.pipeline_state.command.velocity for state in course])
+    assert velocities.shape == (9, 2, 3)
+    np.testing.assert_array_equal(
+        velocities[:, :, 1] * ~(velocities == 0).all(axis=2), velocities[:, :, 1]
+    )
+    new = (np.diff(velocities, axis=0) != 0).any(axis=2)
     # After the third and the sixth step, unless it is to stand again.
     assert set(np.flatnonzero(new.any(axis=1)) + 1) == {3, 6}
-    assert not np.array_equal(told[:, 0], told[:, 1])
+    assert not np.array_equal(velocities[:, 0], velocities[:, 1])
 
 
-def test_the_command_is_seen_in_place_of_the_line(told, course):
-    names = told.sensors.names
-    assert told.policy_size == len(set(names))
+def test_the_command_is_seen_in_place_of_the_line(command_env, course):
+    names = command_env.sensors.names
+    assert command_env.policy_size == len(set(names))
     assert not {"heading", "offset"} & set(names)
     for state in course:
-        assert state.obs.shape == (2, told.observation_size)
-        seen = dict(zip(names, np.asarray(state.obs)[:, : len(names)].T, strict=True))
-        found = [seen[f"command_{part}"] for part in ("forward", "lateral", "yaw_rate")]
-        np.testing.assert_array_equal(np.transpose(found), state.pipeline_state.command.velocity)
+        assert state.obs.shape == (2, command_env.observation_size)
+        observation = dict(zip(names, np.asarray(state.obs)[:, : len(names)].T, strict=True))
+        command = [observation[f"command_{part}"] for part in ("forward", "lateral", "yaw_rate")]
+        np.testing.assert_array_equal(np.transpose(command), state.pipeline_state.command.velocity)
         joints = np.asarray(state.pipeline_state.physics.qpos[:, 7])
-        first = f"joint_pos_{told.quadruped.joints[0]}"
-        np.testing.assert_allclose(seen[first], joints - told.robot.home[7], atol=1e-6)
+        first = f"joint_pos_{command_env.quadruped.joints[0]}"
+        np.testing.assert_allclose(
+            observation[first], joints - command_env.robot.home[7], atol=1e-6
+        )
 
 
-def test_a_step_is_rewarded_for_the_command_it_was_given(told, course):
+def test_a_step_is_rewarded_for_the_command_it_was_given(command_env, course):
     before, after = course[2], course[3]  # the command changes at the end of this step
     qpos = np.asarray(after.pipeline_state.physics.qpos, float)
     velocity = (qpos - np.asarray(before.pipeline_state.physics.qpos))[:, :3] / 0.02
-    own = Rotation.from_euler("z", headings(qpos)[:, None]).inv().apply(velocity)[:, :2]
-    asked = np.asarray(before.pipeline_state.command.velocity)[:, :2]
-    error = np.linalg.norm(own - asked, axis=1)
+    body_velocity = Rotation.from_euler("z", headings(qpos)[:, None]).inv().apply(velocity)[:, :2]
+    commanded_velocity = np.asarray(before.pipeline_state.command.velocity)[:, :2]
+    error = np.linalg.norm(body_velocity - commanded_velocity, axis=1)
     expected = np.exp(-np.square(error / walk.TASK.env.reward["follow"].params["width"]))
     np.testing.assert_allclose(after.metrics["reward/follow"], expected, rtol=1e-3)
-    expected = np.linalg.norm(asked, axis=1) - error
+    expected = np.linalg.norm(commanded_velocity, axis=1) - error
     np.testing.assert_allclose(after.metrics["speed"], expected, atol=1e-3)
     np.testing.assert_allclose(after.metrics["velocity_error"], error, atol=1e-3)
 
 
-def test_a_turn_at_a_run_is_rewarded_as_far_as_the_ground_bears_it(told, course, step):
+def test_a_turn_at_a_run_is_rewarded_as_far_as_the_ground_bears_it(command_env, course, step):
     before = course[2]
     now = before.pipeline_state
     running = now.physics._replace(qvel=now.physics.qvel.at[:, 0].set(jnp.array([2.0, 0.2])))
@@ -246,16 +251,16 @@ def test_a_turn_at_a_run_is_rewarded_as_far_as_the_ground_bears_it(told, course,
     speed = np.linalg.norm((qpos[1] - qpos[0])[:, :2], axis=1) / 0.02
     assert speed[0] > 1.5
     assert speed[1] < 0.9
-    turned = np.diff(headings(qpos), axis=0)[0]
-    off = turned / 0.02 + np.minimum(1.0 / speed, 1.0)  # borne: 1 m/s^2
+    turn_angle = np.diff(headings(qpos), axis=0)[0]
+    off = turn_angle / 0.02 + np.minimum(1.0 / speed, 1.0)  # borne: 1 m/s^2
     width = walk.TASK.env.reward["follow_yaw_rate"].params["width"]
     expected = np.exp(-np.square(off / width))
     np.testing.assert_allclose(after.metrics["reward/follow_yaw_rate"], expected, rtol=1e-3)
 
 
-def test_starts_do_not_depend_on_being_told(env, told):
+def test_starts_do_not_depend_on_being_told(env, command_env):
     key = jax.random.PRNGKey(5)
-    plain, with_command = env.reset(key), told.reset(key)
+    plain, with_command = env.reset(key), command_env.reset(key)
     assert plain.pipeline_state.command is None
     assert isinstance(with_command.pipeline_state.command, Command)
     for a, b in zip(plain.pipeline_state.physics, with_command.pipeline_state.physics, strict=True):

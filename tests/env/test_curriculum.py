@@ -27,14 +27,14 @@ def traveled(velocity, command, steps):
     return travel
 
 
-def following(tile, away, walked, told, steps=STEPS, done=STEPS):
-    """Return the tiles after an episode of `steps`, now at step `done`, for 200 keys."""
+def following(tile, away, walked, commanded, steps=STEPS, step=STEPS):
+    """Return the tiles after an episode of `steps`, now at step `step`, for 200 keys."""
     travel = start_travel(at(1.0, -2.0))._replace(
-        steps=jnp.int32(steps), walked=jnp.float32(walked), commanded=jnp.float32(told)
+        steps=jnp.int32(steps), walked=jnp.float32(walked), commanded=jnp.float32(commanded)
     )
     next_of = jax.vmap(
         lambda key: LESSONS.sample_next_tile(
-            jnp.int32(tile), travel, at(1.0 + away, -2.0), done, key
+            jnp.int32(tile), travel, at(1.0 + away, -2.0), step, key
         )
     )
     return set(np.asarray(next_of(KEYS)).tolist())
@@ -50,7 +50,7 @@ def test_what_is_walked_counts_along_the_command():
 
 
 @pytest.mark.parametrize(
-    ("away", "walked", "told", "change"),
+    ("away", "walked", "commanded", "change"),
     [
         (4.1, 0.0, 20.0, 1),  # more than half a tile away, whatever was told
         (3.9, 6.0, 11.9, 0),  # as much as half of what it was told, but not far
@@ -58,9 +58,9 @@ def test_what_is_walked_counts_along_the_command():
         (0.0, 0.0, 1.9, 0),  # told next to nothing
     ],
 )
-def test_levels_go_up_and_down_by_one_of_the_same_kind(away, walked, told, change):
+def test_levels_go_up_and_down_by_one_of_the_same_kind(away, walked, commanded, change):
     middle = 1 * LEVELS + 2
-    assert following(middle, away, walked, told) == {middle + change}
+    assert following(middle, away, walked, commanded) == {middle + change}
 
 
 def test_below_the_first_level_there_is_none_and_from_the_top_to_the_harder_half():
@@ -76,10 +76,10 @@ def test_a_fall_counts_for_the_rest_of_the_episode():
     tenth.
     """
     middle = LEVELS + 2
-    assert following(middle, 2.0, 2.0, 2.0, steps=100, done=100) == {middle - 1}
+    assert following(middle, 2.0, 2.0, 2.0, steps=100, step=100) == {middle - 1}
     # An episode that began at step 900 was planned to be as short as that.
-    assert following(middle, 2.0, 2.0, 2.0, steps=100, done=1000) == {middle}
-    assert following(middle, 0.0, 0.0, 0.0, steps=0, done=0) == {middle}
+    assert following(middle, 2.0, 2.0, 2.0, steps=100, step=1000) == {middle}
+    assert following(middle, 0.0, 0.0, 0.0, steps=0, step=0) == {middle}
 
 
 def test_one_that_came_to_the_edge_of_its_tile_goes_on():
@@ -93,8 +93,8 @@ def test_one_that_came_to_the_edge_of_its_tile_goes_on():
         steps=jnp.int32(200), walked=jnp.float32(1.8), commanded=jnp.float32(2.0)
     )
     for x, y, change in ((51.8, 1.0, 1), (51.6, 1.0, -1), (48.0, -2.8, 1)):
-        found = confined.sample_next_tile(jnp.int32(tile), travel, at(x, y), 200, KEYS[0])
-        assert int(found) == tile + change
+        next_tile = confined.sample_next_tile(jnp.int32(tile), travel, at(x, y), 200, KEYS[0])
+        assert int(next_tile) == tile + change
 
 
 def test_environments_begin_on_all_kinds_and_the_easier_levels():

@@ -80,8 +80,8 @@ def test_the_observation_is_what_its_names_say(env, reset, step):
     }
     obs = dict(zip(names, np.asarray(state.obs[0]), strict=True))
     for name, vector in expected.items():
-        found = [obs[f"{name}_{axis}"] for axis in "xyz"]
-        np.testing.assert_allclose(found, vector, atol=1e-5)
+        components = [obs[f"{name}_{axis}"] for axis in "xyz"]
+        np.testing.assert_allclose(components, vector, atol=1e-5)
     assert obs["heading"] == pytest.approx(turn.as_euler("ZYX")[0], abs=1e-5)
     assert obs["offset"] == pytest.approx(qpos[1], abs=1e-6)
     for i, joint in enumerate(env.quadruped.joints):
@@ -127,8 +127,8 @@ def test_a_shin_does_not_touch_because_its_foot_sinks_in(env):
 
     It touches the floor only where the foot has sunk in by more than its radius.
     """
-    seen = Reward(lambda robot, step: step.lowest[1], scale=1.0)
-    env = QuadrupedEnv(env.quadruped, dataclasses.replace(env.config, reward={"seen": seen}))
+    term = Reward(lambda robot, step: step.lowest[1], scale=1.0)
+    env = QuadrupedEnv(env.quadruped, dataclasses.replace(env.config, reward={"seen": term}))
     start = jax.jit(env.reset)(jax.random.PRNGKey(0)).pipeline_state
     none = Effort(jnp.zeros(12), jnp.zeros(()))
 
@@ -161,10 +161,10 @@ def test_a_state_that_is_not_finite_ends_its_episode_and_goes_no_further(env, re
     for leaf in jax.tree.leaves(after):
         assert np.isfinite(np.asarray(leaf, float)).all()
     # It ends where it was, or at home where that is no place.
-    found, was = np.asarray(physics_of(after).qpos), np.asarray(qpos)
-    np.testing.assert_array_equal(found[1], env.robot.home.astype(np.float32))
+    qpos_after, qpos_before = np.asarray(physics_of(after).qpos), np.asarray(qpos)
+    np.testing.assert_array_equal(qpos_after[1], env.robot.home.astype(np.float32))
     for row in np.flatnonzero([False, False, *broken[2:]]):
-        np.testing.assert_array_equal(found[row], was[row])
+        np.testing.assert_array_equal(qpos_after[row], qpos_before[row])
 
 
 def test_a_step_leaves_what_it_was_given_alone_and_repeats_itself(reset, step):
@@ -194,15 +194,15 @@ def test_the_policy_sees_what_was_seen_before_and_the_critic_the_truth(quadruped
     assert env.policy_size == 43 + 4 * 42  # all but the heading four times more
     step = jax.jit(env.step)
     state = jax.jit(env.reset)(jax.random.PRNGKey(1))
-    seen = []
+    observations = []
     for k in range(6):
-        seen.append(dict(zip(names, np.asarray(state.obs), strict=True)))
+        observations.append(dict(zip(names, np.asarray(state.obs), strict=True)))
         state = step(state, jnp.full(12, 0.1 * k))
     joint = quadruped.joints[4]
     for name in ("gravity_x", f"joint_vel_{joint}", f"last_action_{joint}"):
         for ago in range(1, 5):
-            assert seen[5][f"{name}[-{ago}]"] == seen[5 - ago][name]
-    assert seen[0]["gravity_x[-4]"] == seen[0]["gravity_x"]
+            assert observations[5][f"{name}[-{ago}]"] == observations[5 - ago][name]
+    assert observations[0]["gravity_x[-4]"] == observations[0]["gravity_x"]
     assert "heading[-1]" not in names
     assert not {"velocity_x", "height"} & set(names)
     qpos = state.pipeline_state.qpos

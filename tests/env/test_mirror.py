@@ -23,10 +23,10 @@ SIDES = {"FR": "FL", "FL": "FR", "RR": "RL", "RL": "RR"}
 @pytest.mark.parametrize("name", list_tasks())
 def test_every_task_has_a_mirror_and_mirroring_twice_changes_nothing(quadruped, name):
     env = QuadrupedEnv(quadruped, load_task(name).env)
-    for own, size in zip(env.mirrors, (env.observation_size, 12), strict=True):
+    for mirror, size in zip(env.mirrors, (env.observation_size, 12), strict=True):
         x = np.random.default_rng(0).normal(size=size).astype(np.float32)
-        assert not np.array_equal(own(x), x)
-        np.testing.assert_array_equal(own(own(x)), x)
+        assert not np.array_equal(mirror(x), x)
+        np.testing.assert_array_equal(mirror(mirror(x)), x)
 
 
 def test_the_mirror_of_the_alien_go_is_what_its_names_say(quadruped):
@@ -67,10 +67,12 @@ def test_what_is_not_itself_again_when_mirrored_twice_is_no_mirror(source, sign)
 @zoo.repeat_for(zoo.QUADRUPEDS)
 def test_robots_of_the_zoo_are_their_own_mirror_image(urdf):
     quadruped = load_quadruped(urdf, Options(meshes=False))
-    found = find_robot_mirror(quadruped, quadruped.make_training_model(0.004, contacts="all"))
-    assert found.feet.source.tolist() == [1, 0, 3, 2]
+    robot_mirror = find_robot_mirror(
+        quadruped, quadruped.make_training_model(0.004, contacts="all")
+    )
+    assert robot_mirror.feet.source.tolist() == [1, 0, 3, 2]
     # HyQ's hips on both sides turn outwards.
-    assert (found.joints.sign[::3] == (1 if "hyq" in urdf.stem else -1)).all()
+    assert (robot_mirror.joints.sign[::3] == (1 if "hyq" in urdf.stem else -1)).all()
 
 
 def _mass(body):
@@ -81,16 +83,16 @@ def _axis(body):
     body.joints[0].axis = [0.0, 0.99, 0.14]
 
 
-@pytest.mark.parametrize(("change", "said"), [(_mass, "mass of '"), (_axis, "axis of '")])
-def test_a_robot_with_one_leg_changed_has_no_mirror_and_says_why(quadruped, change, said):
+@pytest.mark.parametrize(("change", "reason"), [(_mass, "mass of '"), (_axis, "axis of '")])
+def test_a_robot_with_one_leg_changed_has_no_mirror_and_says_why(quadruped, change, reason):
     spec = quadruped.spec.copy()
     change(spec.joint(quadruped.joints[1]).parent)
     env = QuadrupedEnv(dataclasses.replace(quadruped, spec=spec), sprint.TASK.env)
-    with pytest.raises(NotSymmetric, match=rf"{said}(FR|FL)"):
+    with pytest.raises(NotSymmetric, match=rf"{reason}(FR|FL)"):
         env.mirrors  # noqa: B018
 
 
-def mine(robot, state):
+def custom_observation(robot, state):
     """Return a user's own observation, which does not state how it mirrors."""
     return jnp.zeros(2)
 
@@ -108,6 +110,6 @@ def test_a_term_that_does_not_say_is_named_and_one_of_another_size_refused(quadr
         return QuadrupedEnv(quadruped, dataclasses.replace(run.TASK.env, **{group: parts}))
 
     with pytest.raises(NotSymmetric, match=f"{group} 'own' does not say how it mirrors"):
-        env_with(mine).mirrors  # noqa: B018
+        env_with(custom_observation).mirrors  # noqa: B018
     with pytest.raises(UserError, match=rf"{group} 'own' has 4 numbers, .* how 5 mirror"):
         env_with(wrong).mirrors  # noqa: B018

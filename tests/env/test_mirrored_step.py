@@ -48,17 +48,17 @@ def symmetric(quadruped: Quadruped) -> Quadruped:
     inertias = (inertias + np.outer(FLIP, FLIP) * inertias[images]) / 2
     spec = quadruped.spec.copy()
     for body, center, inertia in zip(bodies, centers, inertias, strict=True):
-        turn, own = data.xmat[body].reshape(3, 3), spec.body(model.body(body).name)
-        own.ipos = turn.T @ (center - data.xpos[body])
-        own.inertia, principal = np.linalg.eigh(turn.T @ inertia @ turn)
+        turn, link = data.xmat[body].reshape(3, 3), spec.body(model.body(body).name)
+        link.ipos = turn.T @ (center - data.xpos[body])
+        link.inertia, principal = np.linalg.eigh(turn.T @ inertia @ turn)
         principal[:, 2] = np.cross(principal[:, 0], principal[:, 1])  # right-handed
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, principal.ravel())
-        own.iquat = quat
+        link.iquat = quat
     return dataclasses.replace(quadruped, spec=spec)
 
 
-def drawn_physics(env, key, canonical):
+def draw_physics(env, key, canonical):
     """Draw any pose and velocity, or return the canonical ones.
 
     These are of a robot with one leg lifted that is rolled, moves to the left and turns.
@@ -71,9 +71,9 @@ def drawn_physics(env, key, canonical):
     angles = jnp.clip(env.robot.home_joints + off, env.robot.lower, env.robot.upper)
     place = jnp.array([0.3, -0.2, env.robot.home_height + 0.01])
     moving = jnp.where(canonical, jnp.zeros(18).at[1].set(0.5).at[5].set(0.7), 0.0)
-    own = [jax.random.normal(linear, (3,)), jax.random.normal(angular, (3,))]
+    trunk_velocity = [jax.random.normal(linear, (3,)), jax.random.normal(angular, (3,))]
     moving += jnp.where(canonical, 0.0, 1.0) * jnp.concatenate(
-        [*own, 2.0 * jax.random.normal(speeds, (12,))]
+        [*trunk_velocity, 2.0 * jax.random.normal(speeds, (12,))]
     )
     return PhysicsState(jnp.concatenate([place, quat, angles]), moving)
 
@@ -87,60 +87,62 @@ def image(env, robot, state):
     qpos, speed = state.physics
     quat = jnp.concatenate([qpos[3:4], -FLIP * qpos[4:7]])
     qpos = jnp.concatenate([FLIP * qpos[:3], quat, robot.joints(qpos[7:])])
-    changed = state._replace(
+    mirror_state = state._replace(
         physics=PhysicsState(qpos, qvel(speed)),
         last_action=robot.joints(state.last_action),
         steps=state.steps + HALF_A_STRIDE,
     )
     if state.command is not None:
         velocity = state.command.velocity * jnp.array([1.0, -1.0, -1.0])
-        changed = changed._replace(command=state.command._replace(velocity=velocity))
+        mirror_state = mirror_state._replace(command=state.command._replace(velocity=velocity))
     if state.contact is not None:
-        changed = changed._replace(contact=state.contact[robot.feet.source])
+        mirror_state = mirror_state._replace(contact=state.contact[robot.feet.source])
     if state.frames is not None:
         size = state.frames.shape[-1]
-        own = env.mirrors.observation
-        frames = own.sign[:size] * state.frames[:, own.source[:size]]
-        changed = changed._replace(frames=frames)
-    if (drawn := state.conditions) is not None:
-        variation = drawn.variation._replace(
-            trunk_center=FLIP * drawn.variation.trunk_center,
-            link_mass=drawn.variation.link_mass[robot.joints.source],
+        mirror = env.mirrors.observation
+        frames = mirror.sign[:size] * state.frames[:, mirror.source[:size]]
+        mirror_state = mirror_state._replace(frames=frames)
+    if (conditions := state.conditions) is not None:
+        variation = conditions.variation._replace(
+            trunk_center=FLIP * conditions.variation.trunk_center,
+            link_mass=conditions.variation.link_mass[robot.joints.source],
         )
-        drawn = drawn._replace(
+        conditions = conditions._replace(
             variation=variation,
-            encoder=robot.joints(drawn.encoder),
-            tilt=-FLIP * drawn.tilt,
-            targets=robot.joints(drawn.targets),
+            encoder=robot.joints(conditions.encoder),
+            tilt=-FLIP * conditions.tilt,
+            targets=robot.joints(conditions.targets),
         )
-        changed = changed._replace(conditions=drawn)
-    return changed
+        mirror_state = mirror_state._replace(conditions=conditions)
+    return mirror_state
 
 
 def check(env):
     """Assert that steps mirror, from one canonical and three random states."""
     of = partial(image, env, find_robot_mirror(env.quadruped, env.mj_model))
 
-    def drawn(key, canonical):
+    def draw_state(key, canonical):
         start = env.reset(key)
         state, (a, b, c, d) = start.pipeline_state, jax.random.split(key, 4)
         state = state._replace(
-            physics=drawn_physics(env, a, canonical),
+            physics=draw_physics(env, a, canonical),
             last_action=jax.random.uniform(b, (12,)),
             steps=jnp.asarray(3),
         )
         if state.frames is not None:
             state = state._replace(frames=jax.random.normal(c, state.frames.shape))
-        if (own := state.conditions) is not None:
+        if (conditions := state.conditions) is not None:
             # Noise, pushes' sides and jitter are of a key, and differ from step to step.
-            own = own._replace(noise=jnp.zeros(()), push=jnp.zeros(2), delay=jnp.ones(()))
-            state = state._replace(conditions=own)
+            conditions = conditions._replace(
+                noise=jnp.zeros(()), push=jnp.zeros(2), delay=jnp.ones(())
+            )
+            state = state._replace(conditions=conditions)
         return start.replace(pipeline_state=state), jax.random.uniform(d, (12,), minval=-1.0)
 
     @jax.jit
-    def stepped(keys):
+    def step_pairs(keys):
         """Step drawn states and their images; return both, and the images of the former."""
-        states, actions = jax.vmap(drawn)(keys, jnp.arange(4) == 0)
+        states, actions = jax.vmap(draw_state)(keys, jnp.arange(4) == 0)
         images = states.replace(pipeline_state=jax.vmap(of)(states.pipeline_state))
         actions = jnp.concatenate([actions, env.mirrors.action(actions)])
         both = jax.tree.map(lambda *x: jnp.concatenate(x), states, images)
@@ -153,7 +155,7 @@ def check(env):
         scale = np.maximum(1.0, np.abs(one))
         assert (np.abs(one - other) / scale).max() < 2e-3
 
-    one, other, expected = stepped(jax.random.split(jax.random.PRNGKey(3), 4))
+    one, other, expected = step_pairs(jax.random.split(jax.random.PRNGKey(3), 4))
     for name in ("qpos", "qvel"):
         close(getattr(expected.physics, name), getattr(other.pipeline_state.physics, name))
     close(env.mirrors.observation(np.asarray(one.obs)), other.obs)
@@ -198,15 +200,15 @@ def test_a_scan_sees_the_image_of_uneven_ground(env, scan, sizes):
     robot = find_robot_mirror(env.quadruped, env.mj_model)
     state = jax.eval_shape(env.reset, jax.random.PRNGKey(0)).pipeline_state
     qpos = jnp.array([0.3, -0.2, 0.4, np.cos(0.2), 0, 0, np.sin(0.2), *[0.0] * 12])
-    turned = qpos * jnp.array([1, -1, 1, 1, -1, 1, -1, *[1] * 12])
-    seen = [
+    mirror_qpos = qpos * jnp.array([1, -1, 1, 1, -1, 1, -1, *[1] * 12])
+    scans = [
         scan(
             SimpleNamespace(home_height=env.robot.home_height, ground=Ground(side)),
             state._replace(physics=PhysicsState(place, jnp.zeros(18))),
             **params,
         )
-        for side, place in ((1, qpos), (-1, turned))
+        for side, place in ((1, qpos), (-1, mirror_qpos))
     ]
-    own = find_mirror(scan, params, robot)
-    assert np.ptp(seen[0] - seen[1]) > 0.01
-    np.testing.assert_allclose(own(np.asarray(seen[0])), seen[1], atol=1e-6)
+    mirror = find_mirror(scan, params, robot)
+    assert np.ptp(scans[0] - scans[1]) > 0.01
+    np.testing.assert_allclose(mirror(np.asarray(scans[0])), scans[1], atol=1e-6)

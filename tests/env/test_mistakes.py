@@ -45,7 +45,7 @@ def own_task(folder, kind: str, body: str, inputs: str | None = None):
 
 
 @pytest.mark.parametrize(
-    ("kind", "body", "said"),
+    ("kind", "body", "message"),
     [
         ("reward", "return step.qpos", "5: the reward 'own' gives an array of shape (19,); expected"
          " a number"),
@@ -67,7 +67,7 @@ def own_task(folder, kind: str, body: str, inputs: str | None = None):
     ],
 )  # fmt: skip
 def test_it_is_one_line_with_the_terms_name_its_place_and_what_is_expected(
-    tmp_path, quadruped, kind, body, said
+    tmp_path, quadruped, kind, body, message
 ):
     task = own_task(tmp_path, kind, body)
 
@@ -75,7 +75,7 @@ def test_it_is_one_line_with_the_terms_name_its_place_and_what_is_expected(
         env = QuadrupedEnv(quadruped, task.env)
         return env.step(env.reset(key), jnp.zeros(12))
 
-    with pytest.raises(UserError, match=re.escape(f"{tmp_path}/mine.py, line {said}")):
+    with pytest.raises(UserError, match=re.escape(f"{tmp_path}/mine.py, line {message}")):
         jax.eval_shape(step, jax.random.PRNGKey(0))
 
 

@@ -80,14 +80,16 @@ def test_the_scan_and_the_height_are_those_of_the_field(hilly, starts):
     qpos = np.asarray(starts.pipeline_state.qpos)
     names = hilly.sensors.names
     assert len(names) == 15 + 1
-    for q, seen in zip(qpos, np.asarray(starts.obs), strict=True):
+    for q, observation in zip(qpos, np.asarray(starts.obs), strict=True):
         heading = float(compute_yaw(jnp.asarray(q[3:7])))
         ahead, left = np.meshgrid(np.arange(-2, 3) / 10, np.arange(-1, 2) / 10, indexing="ij")
         turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
         points = q[:2] + np.stack([ahead.ravel(), left.ravel()], axis=1) @ turn.T
         below = q[2] - hilly.robot.home_height - hilly.terrain.field.compute_height(points)
-        np.testing.assert_allclose(seen[:15], np.clip(below, -0.5, 0.5), atol=2e-4)
-        assert seen[15] == pytest.approx(q[2] - hilly.terrain.field.compute_height(q[:2]), abs=1e-4)
+        np.testing.assert_allclose(observation[:15], np.clip(below, -0.5, 0.5), atol=2e-4)
+        assert observation[15] == pytest.approx(
+            q[2] - hilly.terrain.field.compute_height(q[:2]), abs=1e-4
+        )
 
 
 def test_falls_are_told_by_heights_above_ground_and_leaving_the_field_is_none(
@@ -98,25 +100,25 @@ def test_falls_are_told_by_heights_above_ground_and_leaving_the_field_is_none(
     assert not np.any(hilly_step(starts, idle).done)  # though trunks are 1.5 m under 0 in hollows
     physics = state.physics
 
-    def moved(qpos):
+    def place_at(qpos):
         return starts.replace(pipeline_state=state._replace(physics=physics._replace(qpos=qpos)))
 
-    sunk = hilly_step(moved(physics.qpos.at[:, 2].add(-0.25)), idle)
+    sunk = hilly_step(place_at(physics.qpos.at[:, 2].add(-0.25)), idle)
     assert np.all(np.asarray(sunk.info["end"]) >= 2)
     away = physics.qpos.at[:, 0].set(hilly.terrain.field.size[0] / 2 - 0.5).at[:, 2].set(0.4)
-    left = hilly_step(moved(away), idle)
+    left = hilly_step(place_at(away), idle)
     assert np.all(np.asarray(left.info["end"]) == 1)
     assert np.all(np.asarray(left.info["truncation"]) == 1.0)
 
 
 def test_how_far_an_episode_has_come_is_counted(hilly, hilly_step, starts):
     travel = starts.pipeline_state.travel
-    begun = starts.pipeline_state.qpos[:, :2]
-    np.testing.assert_array_equal(travel.start, begun)
+    start = starts.pipeline_state.qpos[:, :2]
+    np.testing.assert_array_equal(travel.start, start)
     actions = jnp.zeros((EPISODES, 12)).at[0].set(jnp.nan)  # which ends it where it is
     after = hilly_step(starts, actions).pipeline_state
     np.testing.assert_array_equal(after.qpos[0], starts.pipeline_state.qpos[0])
-    ahead = np.asarray(after.qpos[:, 0] - begun[:, 0])  # of a task without commands, along x
+    ahead = np.asarray(after.qpos[:, 0] - start[:, 0])  # of a task without commands, along x
     np.testing.assert_allclose(after.travel.walked, ahead, atol=1e-6)
     pace = 6.0 / 2 / hilly.config.episode_seconds
     np.testing.assert_allclose(after.travel.commanded, pace * hilly.config.control_dt, rtol=1e-5)
@@ -130,8 +132,8 @@ def test_an_episode_can_be_confined_to_its_tile(hilly, starts):
 
     def outside(env, offset):
         qpos = state.qpos.at[:, :2].set(middles + offset)
-        moved = state._replace(physics=state.physics._replace(qpos=qpos))
-        return np.asarray(jax.vmap(partial(is_off_ground, env.config, env.terrain))(moved))
+        new_state = state._replace(physics=state.physics._replace(qpos=qpos))
+        return np.asarray(jax.vmap(partial(is_off_ground, env.config, env.terrain))(new_state))
 
     assert not outside(confined, [2.9, -2.9]).any()
     assert outside(confined, [3.1, 0.0]).all()

@@ -159,8 +159,8 @@ def replay_step(env, model, case, states, step, side) -> np.ndarray:
     targets = []
     for number in range(config.substeps):
         applied_target = (step * config.substeps + number - case.delay) // config.substeps
-        wanted = actions[applied_target] if applied_target >= 0 else np.zeros(12)
-        targets.append(np.clip(robot.home_joints + reach * wanted, robot.lower, robot.upper))
+        action = actions[applied_target] if applied_target >= 0 else np.zeros(12)
+        targets.append(np.clip(robot.home_joints + reach * action, robot.lower, robot.upper))
     return step_control(model, motor, qpos[step], pushed, targets, case.encoder).qvel
 
 
@@ -328,8 +328,8 @@ ends = st.floats(-10.0, 10.0)
 def test_training_draws_from_no_less_than_an_evaluation(between, usual, margin):
     (low, high), (inner, outer) = widen_range(between, usual, margin), between
     assert low <= inner <= outer <= high
-    moved = max(abs(low - inner), abs(high - outer))
-    assert moved <= margin * max(abs(inner - usual), abs(outer - usual)) + 1e-9
+    shift = max(abs(low - inner), abs(high - outer))
+    assert shift <= margin * max(abs(inner - usual), abs(outer - usual)) + 1e-9
 
 
 def test_a_margin_moves_an_end_away_from_the_models_value_but_not_into_the_range(quadruped):

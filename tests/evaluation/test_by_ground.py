@@ -103,10 +103,10 @@ def test_the_map_and_the_table_show_every_cell(commanded, capsys, monkeypatch):
     np.testing.assert_allclose(success.images[0].get_array(), [[25, 50], [50, 75]])
     assert [text.get_text() for text in success.texts] == ["25", "50", "50", "75"]
     print_terrain(make_results(commanded))
-    printed = capsys.readouterr().out
+    output = capsys.readouterr().out
     for words in ("difficulty 0 ", "difficulty 1 ", "stairs up", "% success", "% arrival", "m/s"):
-        assert words in printed
-    assert ("0.125 ± 0.010" in printed) == commanded
+        assert words in output
+    assert ("0.125 ± 0.010" in output) == commanded
 
 
 @pytest.fixture(scope="module")

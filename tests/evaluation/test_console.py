@@ -23,10 +23,10 @@ def width(request, monkeypatch) -> int:
 
 def test_no_word_of_a_table_is_broken(width, capsys):
     tables.print_summary(SUMMARY, "run")
-    printed = capsys.readouterr().out
-    assert set(printed.split()) >= WORDS
+    output = capsys.readouterr().out
+    assert set(output.split()) >= WORDS
     if width >= 80:
-        assert max(map(len, printed.splitlines())) <= width
+        assert max(map(len, output.splitlines())) <= width
 
 
 @pytest.mark.parametrize("other", [1.0, 0.999])
@@ -35,9 +35,9 @@ def test_engines_side_by_side_fit_80_columns(monkeypatch, capsys, other):
     slower = {**FIGURE, "mean": other * FIGURE["mean"]}
     second = {**SUMMARY, **dict.fromkeys(("speed", "torque_limit", "peak_power"), slower)}
     tables.print_engines(SUMMARY, second)
-    printed = capsys.readouterr().out
-    assert {"mechanical", "difference", "MJX's", "1254"} <= set(printed.split())
-    assert max(map(len, printed.splitlines())) <= 80
+    output = capsys.readouterr().out
+    assert {"mechanical", "difference", "MJX's", "1254"} <= set(output.split())
+    assert max(map(len, output.splitlines())) <= 80
 
 
 def test_nothing_is_minus_zero(capsys):
@@ -52,6 +52,6 @@ def test_a_paragraph_ends_its_lines_between_words(width, capsys, monkeypatch):
     assert capsys.readouterr().out == f"{text}\n"  # a file has it as it is
     monkeypatch.setenv("FORCE_COLOR", "1")
     tables.print_text(text)
-    printed = capsys.readouterr().out
-    assert printed.split() == text.split()
-    assert max(map(len, printed.splitlines())) <= width
+    output = capsys.readouterr().out
+    assert output.split() == text.split()
+    assert max(map(len, output.splitlines())) <= width

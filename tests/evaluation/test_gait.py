@@ -176,11 +176,11 @@ def test_a_name_does_not_depend_on_where_the_stride_begins(phase, shift):
 @settings(max_examples=200, deadline=None)
 def test_the_circular_mean_turns_with_its_phases(phases, shift):
     mean, length = average_phases(np.array(phases))
-    turned, same = average_phases((np.array(phases) + shift) % 1)
+    shifted_mean, same = average_phases((np.array(phases) + shift) % 1)
     assert same == pytest.approx(length, abs=1e-9)
     assert 0 <= mean < 1
     if length > 1e-3:
-        assert measure_phase_distance(turned, mean + shift) < 1e-6
+        assert measure_phase_distance(shifted_mean, mean + shift) < 1e-6
 
 
 # The figures of an episode

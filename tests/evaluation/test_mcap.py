@@ -41,15 +41,15 @@ CLOSE = {"rtol": 1e-6, "atol": 1e-12}
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory, trot, quadruped) -> Path:
+def episode_file(tmp_path_factory, trot, quadruped) -> Path:
     path = tmp_path_factory.mktemp("mcap") / "episode.mcap"
     write_mcap(path, trot, quadruped, METADATA, {"config.json": b"{}", "big.txt": b"x" * 50_000})
     return path
 
 
 @pytest.fixture(scope="module")
-def messages(written) -> dict[str, list]:
-    return read_messages(written)
+def messages(episode_file) -> dict[str, list]:
+    return read_messages(episode_file)
 
 
 @pytest.fixture
@@ -99,11 +99,11 @@ def test_the_robot_description_is_the_urdf_that_is_drawn(messages, quadruped):
     text = data[8:-1]
     assert when == 0
     assert data == b"\x00\x01\x00\x00" + (len(text) + 1).to_bytes(4, "little") + text + b"\x00"
-    shown, full = ElementTree.fromstring(text), ElementTree.fromstring(quadruped.urdf)
+    description, full = ElementTree.fromstring(text), ElementTree.fromstring(quadruped.urdf)
     assert full.findall("link/collision")
-    assert not shown.findall("link/collision")
+    assert not description.findall("link/collision")
     for kind in ("joint", "link/visual", "link/inertial", "material"):
-        for actual, expected in zip(shown.findall(kind), full.findall(kind), strict=True):
+        for actual, expected in zip(description.findall(kind), full.findall(kind), strict=True):
             assert ElementTree.tostring(actual).strip() == ElementTree.tostring(expected).strip()
 
 
@@ -138,17 +138,17 @@ def meshed(tmp_path_factory) -> Quadruped:
 def test_a_mesh_is_drawn_as_a_shape_that_needs_no_file(meshed):
     text = draw_urdf(meshed.urdf, meshed.make_full_model())
     assert "mesh" not in text
-    shown = ElementTree.fromstring(text)
-    (trunk,) = shown.findall("link[@name='trunk']/visual/geometry/box")
+    description = ElementTree.fromstring(text)
+    (trunk,) = description.findall("link[@name='trunk']/visual/geometry/box")
     assert trunk.get("size") == "0.647 0.15 0.112"  # as it collides
-    (hip,) = shown.findall("link[@name='FR_hip']/visual")  # its mesh's bounds
+    (hip,) = description.findall("link[@name='FR_hip']/visual")  # its mesh's bounds
     origin = {name: np.array(x.split(), float) for name, x in hip.find("origin").attrib.items()}
     np.testing.assert_allclose(origin["xyz"], [0.0, 0.02, -0.01], atol=1e-6)
     size = np.array(hip.find("geometry/box").get("size").split(), float)
     reach = np.abs(Rotation.from_euler("xyz", origin["rpy"]).as_matrix()) @ size
     np.testing.assert_allclose(reach, [0.1, 0.06, 0.08], atol=1e-5)
     full = ElementTree.fromstring(meshed.urdf)
-    calves = (x.findall("link[@name='FR_calf']/visual") for x in (shown, full))
+    calves = (x.findall("link[@name='FR_calf']/visual") for x in (description, full))
     assert len({tuple(map(ElementTree.tostring, shapes)) for shapes in calves}) == 1
 
 
@@ -251,8 +251,8 @@ def test_the_scene_is_complete_in_each_message(messages, trot, quadruped):
         (arrow,) = velocity.arrows
         turn = arrow.pose.orientation
         along = make_frame(0, (turn.w, turn.x, turn.y, turn.z))[:3, 0]  # an arrow points along x
-        shown = arrow.shaft_length * along
-        np.testing.assert_allclose(shown, 0.25 * trot.qvel[row, :3], atol=2e-3)
+        arrow_vector = arrow.shaft_length * along
+        np.testing.assert_allclose(arrow_vector, 0.25 * trot.qvel[row, :3], atol=2e-3)
         touching = np.flatnonzero(trot.contact[row - 1]) if row else []
         tails = [[getattr(arrow.pose.position, a) for a in "xyz"] for arrow in forces.arrows]
         assert len(tails) == len(touching)
@@ -262,8 +262,8 @@ def test_the_scene_is_complete_in_each_message(messages, trot, quadruped):
             np.testing.assert_allclose(tails, feet, atol=1e-3)
 
 
-def test_metadata_and_attachments(written, quadruped):
-    records, attached = read_records(written)
+def test_metadata_and_attachments(episode_file, quadruped):
+    records, attached = read_records(episode_file)
     assert records["quadwalk"] == METADATA
     assert records["episode"]["seed"] == "0"
     assert records["episode"]["end"] == "time limit"
@@ -333,11 +333,11 @@ def test_any_observation_names_become_fields(read_back):
 # Whole or absent
 
 
-def test_another_process_writes_the_same_bytes(written, trot, quadruped, tmp_path):
+def test_another_process_writes_the_same_bytes(episode_file, trot, quadruped, tmp_path):
     # Another hash seed, start and order of what is given: nothing of these may show in the file.
     attached = {"big.txt": b"x" * 50_000, "config.json": b"{}"}
-    given = (tmp_path / "b.mcap", trot, dict(reversed(METADATA.items())), attached)
-    (tmp_path / "given").write_bytes(pickle.dumps(given))
+    arguments = (tmp_path / "b.mcap", trot, dict(reversed(METADATA.items())), attached)
+    (tmp_path / "given").write_bytes(pickle.dumps(arguments))
     script = """
 import pickle, sys
 from quadwalk.evaluation.mcap.write import write_mcap
@@ -348,17 +348,17 @@ write_mcap(path, rollout, load_quadruped(), *others)
     environment = os.environ | {"PYTHONHASHSEED": "12345", "TZ": "Asia/Tokyo"}
     command = [sys.executable, "-c", script, str(tmp_path / "given")]
     subprocess.run(command, check=True, env=environment)
-    assert (tmp_path / "b.mcap").read_bytes() == written.read_bytes()
+    assert (tmp_path / "b.mcap").read_bytes() == episode_file.read_bytes()
 
 
 @pytest.mark.parametrize("older", [True, False])
 @pytest.mark.parametrize("error", [ValueError("boom"), KeyboardInterrupt(), MemoryError()])
 def test_an_interrupted_write_leaves_what_was_there(
-    written, trot, quadruped, tmp_path, monkeypatch, error, older
+    episode_file, trot, quadruped, tmp_path, monkeypatch, error, older
 ):
     path = tmp_path / "a.mcap"
     if older:
-        shutil.copy(written, path)
+        shutil.copy(episode_file, path)
 
     def add_message(self, *_, **__):
         raise error
@@ -367,7 +367,7 @@ def test_an_interrupted_write_leaves_what_was_there(
     with pytest.raises(type(error)):
         write_mcap(path, trot, quadruped, {})
     assert os.listdir(tmp_path) == ["a.mcap"] * older
-    assert not older or path.read_bytes() == written.read_bytes()
+    assert not older or path.read_bytes() == episode_file.read_bytes()
 
 
 def test_what_cannot_be_written_is_one_line(trot, quadruped, tmp_path):
@@ -389,10 +389,12 @@ def stand(simulate, quadruped, tmp_path_factory) -> tuple[Rollout, Path]:
     return rollout, path
 
 
-def test_identification_reads_targets_and_angles_of_a_robot_on_a_stand(stand, written, quadruped):
+def test_identification_reads_targets_and_angles_of_a_robot_on_a_stand(
+    stand, episode_file, quadruped
+):
     rollout, path = stand
     with pytest.raises(UserError, match=r"the trunk moves by .* m; expected a robot on a stand"):
-        read_log(written, quadruped.joints)
+        read_log(episode_file, quadruped.joints)
     log = read_log(path, quadruped.joints)
     np.testing.assert_allclose(log.time, rollout.time, atol=1e-9)
     np.testing.assert_allclose(log.target_time, rollout.time[:-1], atol=1e-9)
@@ -429,17 +431,17 @@ def test_a_damaged_file_is_refused_or_read_as_it_was_written(stand, quadruped, t
 # Other people's readers
 
 
-def test_rerun_finds_nothing_wrong(written):
+def test_rerun_finds_nothing_wrong(episode_file):
     pytest.importorskip("rerun", reason="needs rerun-sdk")
     rerun = find_program("rerun")
     if shutil.which(rerun) is None:
         pytest.skip("needs the rerun command (rerun-sdk)")
-    command = [rerun, "mcap", "check", str(written)]
+    command = [rerun, "mcap", "check", str(episode_file)]
     checked = subprocess.run(command, capture_output=True, text=True)
     assert checked.returncode == 0, checked.stdout + checked.stderr
 
 
-def test_rerun_has_a_layout_for_what_is_recorded(written, read_back, trot, tmp_path):
+def test_rerun_has_a_layout_for_what_is_recorded(episode_file, read_back, trot, tmp_path):
     layout = pytest.importorskip("benchmarks.rerun_blueprint", reason="needs rerun-sdk")
     actual = read_back(dataclasses.replace(trot, command=np.zeros((trot.steps, 3))))
     for plotted in (layout.SPEEDS, layout.REWARDS, layout.FEET):
@@ -450,24 +452,24 @@ def test_rerun_has_a_layout_for_what_is_recorded(written, read_back, trot, tmp_p
             assert set(fields) <= set(message.fields_by_name)
     assert layout.make_blueprint()
     recording = tmp_path / "an episode.mcap"
-    shutil.copy(written, recording)
+    shutil.copy(episode_file, recording)
     shutil.copy(RERUN_BLUEPRINT, tmp_path)
     convert, _, show = format_rerun_commands(recording).partition(" && ")
     subprocess.run(shlex.split(convert), check=True, capture_output=True)
-    rerun, *shown = shlex.split(show)
-    assert [Path(file).name for file in shown] == ["an episode.rrd", "rerun.rbl"]
-    subprocess.run([rerun, "rrd", "verify", *shown], check=True, capture_output=True)
-    for file, kind in zip(shown, ("Recording", "Blueprint"), strict=True):
+    rerun, *files = shlex.split(show)
+    assert [Path(file).name for file in files] == ["an episode.rrd", "rerun.rbl"]
+    subprocess.run([rerun, "rrd", "verify", *files], check=True, capture_output=True)
+    for file, kind in zip(files, ("Recording", "Blueprint"), strict=True):
         done = subprocess.run([rerun, "rrd", "print", file], capture_output=True, text=True)
         stores = re.findall(r'(\w+),\s+"([^"]+)",\s+"[^"]+",\s+\)', done.stdout)
         assert set(stores) == {(kind, "quadwalk")}
 
 
-def test_rerun_decodes_what_was_simulated(written, trot, quadruped):
+def test_rerun_decodes_what_was_simulated(episode_file, trot, quadruped):
     chunk = pytest.importorskip("rerun.chunk", reason="needs rerun-sdk with rerun.chunk")
     tables: dict[str, list] = {}
     geometry = set()
-    for piece in chunk.McapReader(str(written)).stream():
+    for piece in chunk.McapReader(str(episode_file)).stream():
         if "visual_geometries" in piece.entity_path:
             geometry.add(piece.entity_path.split("/")[3])
         elif not piece.is_static:
@@ -503,16 +505,16 @@ def test_rerun_draws_a_robot_of_meshes(trot, meshed, tmp_path):
     chunk = pytest.importorskip("rerun.chunk", reason="needs rerun-sdk with rerun.chunk")
     write_mcap(tmp_path / "meshed.mcap", trot, meshed, {})
     shapes = ("Boxes3D:half_sizes", "Cylinders3D:radii", "Ellipsoids3D:half_sizes")
-    shown = {
+    entities = {
         piece.entity_path.split("/")[3]
         for piece in chunk.McapReader(str(tmp_path / "meshed.mcap")).stream()
         if "visual_geometries" in piece.entity_path
         and not set(piece.to_record_batch().schema.names).isdisjoint(shapes)
     }
-    assert {"trunk", "FR_hip"} <= shown
+    assert {"trunk", "FR_hip"} <= entities
 
 
-def test_foxgloves_own_reader_decodes_every_channel(written, messages, trot, quadruped):
+def test_foxgloves_own_reader_decodes_every_channel(episode_file, messages, trot, quadruped):
     node = shutil.which("node")
     if node is None:
         pytest.skip("needs node")
@@ -520,7 +522,7 @@ def test_foxgloves_own_reader_decodes_every_channel(written, messages, trot, qua
     here = Path(__file__).parent
     if subprocess.run([node, "-e", packages], cwd=here, capture_output=True).returncode:
         pytest.skip("needs npm install --no-save @mcap/core @mcap/support")
-    command = [node, "read_mcap.cjs", str(written)]
+    command = [node, "read_mcap.cjs", str(episode_file)]
     done = subprocess.run(command, cwd=here, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     actual = json.loads(done.stdout)

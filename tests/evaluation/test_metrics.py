@@ -227,6 +227,6 @@ def test_angles_are_those_that_mujoco_turns_by():
 
 def test_a_quaternion_without_length_is_no_rotation():
     quats = np.array([[0.0] * 4, [np.nan] * 4, [1e-200, 0, 0, 0], [0, 0, 0, 2.0]])
-    turned = to_rotations(quats).apply([1.0, 2.0, 3.0])
-    np.testing.assert_allclose(turned, [[1, 2, 3]] * 3 + [[-1, -2, 3]])
+    vectors = to_rotations(quats).apply([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(vectors, [[1, 2, 3]] * 3 + [[-1, -2, 3]])
     assert to_roll_pitch_yaw(np.empty((0, 4))).shape == (0, 3)

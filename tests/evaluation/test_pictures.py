@@ -47,20 +47,20 @@ def test_a_film_strip_is_two_strides_at_the_measured_frequency(
 
 def test_no_speed_is_written_as_minus_zero(trot, quadruped, monkeypatch):
     def remember_text(self, place, text, **_):
-        written.append(text)
+        texts.append(text)
 
-    written: list[str] = []
+    texts: list[str] = []
     monkeypatch.setattr(pictures.ImageDraw.ImageDraw, "text", remember_text)
     qvel = np.full_like(trot.qvel, -0.01)
     draw_film_strip(dataclasses.replace(trot, qvel=qvel), quadruped, **SMALL)
-    assert {text.split("s   ")[1] for text in written} == {"0.0 m/s"}
+    assert {text.split("s   ")[1] for text in texts} == {"0.0 m/s"}
 
 
 def test_with_commands_the_speed_is_that_along_the_heading(trot, quadruped, monkeypatch):
     def remember_text(self, place, text, **_):
-        written.append(text)
+        texts.append(text)
 
-    written: list[str] = []
+    texts: list[str] = []
     monkeypatch.setattr(pictures.ImageDraw.ImageDraw, "text", remember_text)
     qpos, qvel = trot.qpos.copy(), np.zeros_like(trot.qvel)
     qpos[:, 3:7] = [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]  # it faces along y
@@ -68,7 +68,7 @@ def test_with_commands_the_speed_is_that_along_the_heading(trot, quadruped, monk
     command = np.zeros((trot.steps, 3))
     walking = dataclasses.replace(trot, qpos=qpos, qvel=qvel, command=command)
     draw_film_strip(walking, quadruped, **SMALL)
-    assert {text.split("s   ")[1] for text in written} == {"1.5 m/s"}
+    assert {text.split("s   ")[1] for text in texts} == {"1.5 m/s"}
 
 
 def test_a_gif_plays_in_real_time(trot, quadruped, tmp_path):

@@ -187,9 +187,9 @@ def test_a_recording_holds_the_truth_and_the_obeyed_targets(env, rollouts, tmp_p
 
 def test_the_report_shows_what_was_seen_beside_the_truth(env, rollouts):
     panels = draw_report(rollouts[0], env.quadruped).axes
-    shown = [axes for axes in panels if "the truth" in axes.get_title(loc="left")]
-    assert len(shown) == 3
-    for axes in shown:
+    truth_panels = [axes for axes in panels if "the truth" in axes.get_title(loc="left")]
+    assert len(truth_panels) == 3
+    for axes in truth_panels:
         name = axes.get_title(loc="left").partition(":")[0].lower()
         column = [n.lower() for n in env.sensors.names].index(name)
         observed, true = axes.get_lines()

@@ -60,7 +60,7 @@ def loaded(quadruped, swaying, tmp_path_factory) -> LoadedRun:
 @pytest.fixture(scope="module")
 def evaluated(loaded, tmp_path_factory):
     """Return results of both engines, their folder, what was printed, and episodes by engine."""
-    folder, printed, rollouts = tmp_path_factory.mktemp("evaluated"), io.StringIO(), {}
+    folder, stream, rollouts = tmp_path_factory.mktemp("evaluated"), io.StringIO(), {}
 
     def keep_rollouts(env, *rest):
         rollouts[env.engine] = list(simulate_episodes(env, *rest))
@@ -69,7 +69,7 @@ def evaluated(loaded, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLUMNS", "120")
         patch.setattr(results_module, "simulate_episodes", keep_rollouts)
-        patch.setattr(write, "make_console", lambda: Console(file=printed, width=200))
+        patch.setattr(write, "make_console", lambda: Console(file=stream, width=200))
         results = write.write_evaluation(
             loaded.to_engine("mujoco"),
             folder,
@@ -80,7 +80,7 @@ def evaluated(loaded, tmp_path_factory):
             recordings=1,
             video="none",
         )
-    return results, folder, printed.getvalue(), rollouts
+    return results, folder, stream.getvalue(), rollouts
 
 
 def test_both_engines_are_evaluated_from_the_same_starts(evaluated, loaded):
@@ -101,12 +101,12 @@ def test_both_engines_are_evaluated_from_the_same_starts(evaluated, loaded):
 
 
 def test_only_what_is_asked_for_is_recorded(evaluated, loaded, quadruped):
-    results, folder, printed, _ = evaluated
+    results, folder, output, _ = evaluated
     names = {path.name for path in folder.iterdir()}
     recordings = {"episode_000.mcap", "rerun.rbl"}
     assert names == {"metrics.json", "report.png", "film_strip.png", *recordings}
-    assert "1 MCAP files" in printed
-    assert f"rerun {folder}/episode_000.rrd {folder}/rerun.rbl" in " ".join(printed.split())
+    assert "1 MCAP files" in output
+    assert f"rerun {folder}/episode_000.rrd {folder}/rerun.rbl" in " ".join(output.split())
     metadata, attached = read_records(folder / "episode_000.mcap")
     record = metadata["quadwalk"]
     for name in ("run", "engine", "policy_sha256", "revision"):

@@ -21,13 +21,13 @@ def test_a_place_that_is_none_is_said_in_one_line():  # while there is no cluste
     pytest.importorskip("ray")
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
-    for address, said in (
+    for address, message in (
         ("here", "--cluster is 'here'; expected HOST:PORT, auto or local"),
         (f"127.0.0.1:{port}", f"no Ray cluster answers at 127.0.0.1:{port}: .*refused"),
         ("no-such-host.invalid:6379", "no Ray cluster answers at no-such-host.invalid:6379"),
         ("auto", "cannot use the Ray cluster at auto: Could not find any running Ray instance"),
     ):
-        with pytest.raises(UserError, match=said):
+        with pytest.raises(UserError, match=message):
             make_place(PlaceConfig(cluster=address))
 
 

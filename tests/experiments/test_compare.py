@@ -41,7 +41,7 @@ def test_an_argument_that_is_no_option_is_a_variant():
 
 
 @pytest.mark.parametrize(
-    ("args", "said"),
+    ("args", "message"),
     [
         ([], "no variant is given"),
         (["", "--seeds", "0"], "--seeds is 0; expected 1 or more"),
@@ -58,11 +58,11 @@ def test_an_argument_that_is_no_option_is_a_variant():
     ],
 )
 def test_what_cannot_be_compared_is_said_before_anything_is_trained(
-    args, said, monkeypatch, tmp_path
+    args, message, monkeypatch, tmp_path
 ):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(ThisMachine, "submit", pytest.fail)
-    with pytest.raises(UserError, match=re.escape(said)):
+    with pytest.raises(UserError, match=re.escape(message)):
         compare(args)
 
 
@@ -129,9 +129,9 @@ def trainings(monkeypatch, tmp_path):
 def test_a_row_for_each_run_a_file_for_all_and_a_picture(trainings, capsys):
     compare(["", "walk", "--seeds", "2", "--steps", "64", "--runs", str(trainings)])
     lines = capsys.readouterr().out.splitlines()
-    written = (trainings / "compare.md").read_text().splitlines()
-    assert written == lines[:6]
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in written]
+    table_lines = (trainings / "compare.md").read_text().splitlines()
+    assert table_lines == lines[:6]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in table_lines]
     heads, rows = cells[0], [dict(zip(cells[0], row, strict=True)) for row in cells[2:]]
     assert heads[:2] == ["flags", "seed"]
     assert [(row["flags"], row["seed"]) for row in rows] == [

@@ -71,22 +71,22 @@ def test_a_machine_of_other_versions_says_so(job):
 
 def test_where_there_is_no_terminal_a_line_says_how_far_all_are(monkeypatch, capsys):
     monkeypatch.setattr(board, "_PLAIN_SECONDS", -1.0)
-    with board.Board(4) as shown:
+    with board.Board(4) as display:
         for name in ("a", "b", "c"):
-            shown.start(name, 1000)
-        shown.update("a", ROW)
-        shown.update("b", {"steps": 1000, "eval/velocity_error": 0.25})
-        texts = [task.fields["text"] for task in shown._progress.tasks]
-        shown.end("c", "it is broken", stopped=False)
-        shown.refresh()
-    said = capsys.readouterr().err.splitlines()
+            display.start(name, 1000)
+        display.update("a", ROW)
+        display.update("b", {"steps": 1000, "eval/velocity_error": 0.25})
+        texts = [task.fields["text"] for task in display._progress.tasks]
+        display.end("c", "it is broken", stopped=False)
+        display.refresh()
+    lines = capsys.readouterr().err.splitlines()
     assert texts[1:] == [
         "- steps/s  - left  speed 1.50 m/s  falls -",
         "evaluating  velocity error 0.25 m/s  falls -",
         "starting",
     ]
-    assert said[0].endswith("c failed: it is broken")
-    assert "0 of 4 done, 1 failed, 2 running, 1 waiting  " in said[1]
+    assert lines[0].endswith("c failed: it is broken")
+    assert "0 of 4 done, 1 failed, 2 running, 1 waiting  " in lines[1]
 
 
 @pytest.mark.skipif(count_cores() < 2, reason="a single core is nobody's own")
@@ -99,8 +99,8 @@ def test_processes_have_cores_of_their_own(tmp_path, monkeypatch):
         for _ in range(cores)
     ]
     lists = [process.stdout.readline().split() for process in processes]
-    assert [len(taken) for taken in lists] == [1] * cores
-    assert len({taken[0] for taken in lists}) == cores
+    assert [len(affinity) for affinity in lists] == [1] * cores
+    assert len({affinity[0] for affinity in lists}) == cores
     # One more finds none free, and may use all.
     code = HOLD + "print(len(os.sched_getaffinity(0)))"
     more = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -27,7 +27,7 @@ OVER = ("env.reward.energy.scale=-1:0", "ppo.learning-rate=1e-4:1e-2:log")
 
 
 @pytest.mark.parametrize(
-    ("args", "said"),
+    ("args", "message"),
     [
         ([], "no setting to search is given"),
         (["--over", "env.reward.fidgit=-4:-1"], "did you mean 'env.reward.fidget'"),
@@ -41,8 +41,8 @@ OVER = ("env.reward.energy.scale=-1:0", "ppo.learning-rate=1e-4:1e-2:log")
         (["--over", "ppo.discount=0.9:0.99", "--cores", "4096"], "--cores is 4096"),
     ],
 )
-def test_what_cannot_be_searched_is_said_before_anything_is_trained(args, said, tmp_path):
-    with pytest.raises(UserError, match=said):
+def test_what_cannot_be_searched_is_said_before_anything_is_trained(args, message, tmp_path):
+    with pytest.raises(UserError, match=message):
         tune(["drive", *args, "--runs", str(tmp_path)])
     assert not list(tmp_path.iterdir())
 

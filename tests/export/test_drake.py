@@ -56,9 +56,9 @@ def test_the_robot_has_the_same_dynamics_in_both(folder, controller, start, cond
         torque = rng.normal(size=12)
         for robot in robots:
             robot.step(torque)
-    ours, theirs = (robot.get_state() for robot in robots)
-    np.testing.assert_allclose(ours[0], theirs[0], atol=3e-4)
-    np.testing.assert_allclose(ours[1], theirs[1], atol=2e-3)
+    drake_state, mujoco_state = (robot.get_state() for robot in robots)
+    np.testing.assert_allclose(drake_state[0], mujoco_state[0], atol=3e-4)
+    np.testing.assert_allclose(drake_state[1], mujoco_state[1], atol=2e-3)
     assert not any(robot.lies() for robot in robots)
 
 

@@ -139,11 +139,11 @@ def test_the_script_alone_drives_the_robot_as_our_engine_does(exported, tmp_path
     early = min(steps, round(0.2 / env.config.control_dt))
     np.testing.assert_allclose(qpos[:early], rollout.qpos[:early], atol=1e-3)
     np.testing.assert_allclose(target[:early], rollout.target[:early], atol=1e-2)
-    printed = re.search(r"(-?[\d.]+) m/s along x for ([\d.]+) s", done.stdout)
-    assert printed is not None
+    summary = re.search(r"(-?[\d.]+) m/s along x for ([\d.]+) s", done.stdout)
+    assert summary is not None
     if len(time) == rollout.steps:
         speed = (rollout.qpos[-1, 0] - rollout.qpos[0, 0]) / rollout.time[-1]
-        assert float(printed[1]) == pytest.approx(speed, abs=0.02)
+        assert float(summary[1]) == pytest.approx(speed, abs=0.02)
 
 
 def test_an_export_with_a_getup_policy_gets_up_from_its_back_and_goes_on(tmp_path, capsys):
@@ -395,8 +395,8 @@ def find_onnxruntime() -> Path | None:
     if not libraries or shutil.which("g++") is None:
         return None
     command = ["g++", "-E", "-x", "c++", "-include", "onnxruntime_cxx_api.h", os.devnull]
-    found = subprocess.run(command, capture_output=True, check=False).returncode == 0
-    return libraries[0] if found else None
+    compiles = subprocess.run(command, capture_output=True, check=False).returncode == 0
+    return libraries[0] if compiles else None
 
 
 def test_the_loop_in_cpp_computes_the_targets_of_the_controller(exported, tmp_path):

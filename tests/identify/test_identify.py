@@ -100,11 +100,11 @@ def test_known_joints_are_found_across_a_gap_and_the_flags_train_them(rewrite, q
     assert "its times are read as milliseconds" in done.stderr
     assert "a gap of 1.00 s before line 802" in " ".join(done.stderr.split())
     out = log.with_name("changed_identified")
-    found = json.loads((out / "identified.json").read_text())
-    known = dataclasses.asdict(KNOWN) | {"target_offset": KNOWN.offset}
+    results = json.loads((out / "identified.json").read_text())
+    true_constants = dataclasses.asdict(KNOWN) | {"target_offset": KNOWN.offset}
     covered = 0
-    for value in found["constants"]:
-        true = np.ravel(known[value["constant"]])
+    for value in results["constants"]:
+        true = np.ravel(true_constants[value["constant"]])
         true = true[quadruped.joints.index(value["joints"][0]) % 3 if len(true) > 1 else 0]
         error = abs(value["found"] - true)
         covered += error < value["interval95"]
@@ -112,13 +112,13 @@ def test_known_joints_are_found_across_a_gap_and_the_flags_train_them(rewrite, q
         if value["constant"] != "offset":
             assert value["found"] == pytest.approx(true, rel=0.05), value
             assert value["sure"], value
-    assert len(found["constants"]) == 36
+    assert len(results["constants"]) == 36
     assert covered >= 31  # of 36 at 95 %, but for one case in 1000
-    rest = found["rms_rad"]
+    rest = results["rms_rad"]
     assert rest["found_fitted"] == pytest.approx(KNOWN.noise, rel=0.05)
     assert rest["found_held_out"] == pytest.approx(KNOWN.noise, rel=0.1)
     assert rest["described_held_out"] > 2 * KNOWN.noise
-    assert max(found["unexplained"].values()) < 0.02
+    assert max(results["unexplained"].values()) < 0.02
     assert (out / "fit.png").stat().st_size > 50_000
 
     flags = shlex.split(done.stdout.splitlines()[-1])
@@ -135,16 +135,16 @@ def test_known_joints_are_found_across_a_gap_and_the_flags_train_them(rewrite, q
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_simulation_is_mujocos_with_offsets_on_both_sides_of_a_gap(quadruped, shared):
-    known = dataclasses.replace(KNOWN, noise=0.0, shared=shared)
-    log = record_log(quadruped, known, seconds=2.0)
+    setup = dataclasses.replace(KNOWN, noise=0.0, shared=shared)
+    log = record_log(quadruped, setup, seconds=2.0)
     rows = np.r_[0:150, 210:400]
     log = log._replace(time=log.time[rows], position=log.position[rows])
-    model, joints = describe(quadruped, IdentifyConfig(Path("log.csv"), kp=known.kp, kd=known.kd))
-    target_offset = np.tile(known.offset, 4) * (not shared)
+    model, joints = describe(quadruped, IdentifyConfig(Path("log.csv"), kp=setup.kp, kd=setup.kd))
+    target_offset = np.tile(setup.offset, 4) * (not shared)
     joints = joints._replace(
-        **{name: np.tile(getattr(known, name), 4) for name in (*OF_URDF, "offset")},
-        delay=np.full(12, known.delay),
-        friction_speed=np.full(12, known.friction_speed),
+        **{name: np.tile(getattr(setup, name), 4) for name in (*OF_URDF, "offset")},
+        delay=np.full(12, setup.delay),
+        friction_speed=np.full(12, setup.friction_speed),
         target_offset=target_offset,
     )
     angles = make_simulator(model, log)(Joints(*(value[:, None] for value in joints)))[:, :, 0]
@@ -257,7 +257,7 @@ def test_gaps_are_named_and_short_pieces_dropped(rewrite, quadruped):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda rows: rows[:, :-1], "has no column time; expected time, and target_JOINT and"),
         (lambda rows: rows[:, 1:], "has no column position_FR_hip_joint; expected time"),
@@ -301,21 +301,21 @@ def test_gaps_are_named_and_short_pieces_dropped(rewrite, quadruped):
         ),
     ],
 )
-def test_a_log_that_shows_nothing_is_one_line(rewrite, quadruped, change, said):
+def test_a_log_that_shows_nothing_is_one_line(rewrite, quadruped, change, message):
     file = rewrite(change)
-    with pytest.raises(UserError, match=f"^{file}.*{said}"):
+    with pytest.raises(UserError, match=f"^{file}.*{message}"):
         read_log(file, quadruped.joints, quadruped.lower, quadruped.upper)
 
 
 def test_decimal_commas_between_commas_are_named(rewrite, quadruped):
     file = rewrite(decimal=",")
-    said = "line 2: has 50 values for 25 columns; expected decimal points, or semicolons between"
-    with pytest.raises(UserError, match=said):
+    message = "line 2: has 50 values for 25 columns; expected decimal points, or semicolons between"
+    with pytest.raises(UserError, match=message):
         read_log(file, quadruped.joints)
 
 
 @pytest.mark.parametrize(
-    ("args", "said"),
+    ("args", "message"),
     [
         ([], "expected either a log, or --targets FILE"),
         (["log.csv", "--fit", "kd", "damping"], "a log shows only their sum"),
@@ -323,9 +323,9 @@ def test_decimal_commas_between_commas_are_named(rewrite, quadruped):
         ([__file__, "--robot.urdf", "no.urdf"], "no.urdf: cannot be read"),
     ],
 )
-def test_what_cannot_be_is_one_line(args, said, monkeypatch, tmp_path):
+def test_what_cannot_be_is_one_line(args, message, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(UserError, match=said):
+    with pytest.raises(UserError, match=message):
         main(args)
 
 

@@ -29,7 +29,7 @@ def save(folder: Path, first: int, last: int, die_at: int | None = None) -> None
     with RunWriter(training, Run(folder), print) as writer:
         for steps in range(first + 10, last + 1, 10):
             training.metrics.score = float(steps)
-            writer.log_iteration({"steps": steps, "x": float(steps)}, SimpleNamespace(found=0), 1.0)
+            writer.log_iteration({"steps": steps, "x": float(steps)}, SimpleNamespace(flag=0), 1.0)
             assert writer.save(make_state(steps), steps, 1.0)
 
 

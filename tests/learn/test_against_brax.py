@@ -133,7 +133,7 @@ def train_both(monkeypatch):
 
     The starts are scattered.
     """
-    seen = []
+    records = []
     real = gradients.loss_and_pgrad
 
     def record_gradients(*args: Any, **kwargs: Any) -> Any:
@@ -142,7 +142,9 @@ def train_both(monkeypatch):
         def call(params: Any, normalizer: Any, data: Any, key: jax.Array) -> Any:
             result, grads = function(params, normalizer, data, key)
             device = jax.lax.axis_index(kwargs["pmap_axis_name"])
-            jax.debug.callback(lambda *found: seen.append(found), device, data.observation, grads)
+            jax.debug.callback(
+                lambda *record: records.append(record), device, data.observation, grads
+            )
             return result, grads
 
         return call
@@ -159,22 +161,23 @@ def train_both(monkeypatch):
         mesh = make_mesh()
         networks = make_networks(config, Point.observation_size, Point.action_size)
         keyless = Keyless(Point.action_size, var_scale=networks.std_scale)
-        theirs = make_brax_networks(config, networks, parametric_action_distribution=keyless)
+        brax_networks = make_brax_networks(config, networks, parametric_action_distribution=keyless)
         # Learning begins at once: the first iteration of all would measure observations only.
         state = ppo.init_state(env, networks, config, mesh, ENVS, seed=0)
         learner = state.learner._replace(iterations=jnp.ones((), jnp.int32))
         reported: list[dict[str, Any]] = []
         brax = train_with_brax(
-            env, theirs, config, ENVS, jax.device_get(learner), iterations, iterations, seed=0,
-            wrap_env_fn=wrap_scattered, progress_fn=lambda steps, metrics: reported.append(metrics),
+            env, brax_networks, config, ENVS, jax.device_get(learner), iterations, iterations,
+            seed=0, wrap_env_fn=wrap_scattered,
+            progress_fn=lambda steps, metrics: reported.append(metrics),
         )  # fmt: skip
         jax.effects_barrier()
 
         # The first rows that Brax's loss saw, on each device, tell its starts.
-        per_device = [[first[1] for first in seen if first[0] == d] for d in range(mesh.size)]
+        per_device = [[first[1] for first in records if first[0] == d] for d in range(mesh.size)]
         observations = [
-            np.concatenate([data[:, 0] for data in found[: config.minibatches]])
-            for found in per_device
+            np.concatenate([data[:, 0] for data in device_rows[: config.minibatches]])
+            for device_rows in per_device
         ]
         # Behind each device's share of environments learnt from stands one for evaluation.
         begin = np.concatenate([np.concatenate([part, part[:1]]) for part in observations])
@@ -190,7 +193,7 @@ def train_both(monkeypatch):
             state, metrics = jax.block_until_ready(iterate(state))
             ours.append(get_params(state.learner))
             first, losses = first or jax.device_get(state.learner), losses or metrics
-        return Both(brax, ours, seen[0][2], first, reported[0], losses)
+        return Both(brax, ours, records[0][2], first, reported[0], losses)
 
     return train
 

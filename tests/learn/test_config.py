@@ -91,7 +91,7 @@ def test_a_bad_flag_is_refused_by_its_name(flags):
 
 
 @pytest.mark.parametrize(
-    ("flags", "named"),
+    ("flags", "message"),
     [
         (["fly"], "no task 'fly'"),
         (["fly.py"], "cannot read the task"),
@@ -125,8 +125,8 @@ def test_a_bad_flag_is_refused_by_its_name(flags):
         (["--distributed.coordinator=a:1", "--distributed.process=1"], "--distributed.process"),
     ],
 )
-def test_a_bad_flag_is_one_line_that_names_it(flags, named):
-    with pytest.raises(UsageError, match=re.escape(named)):
+def test_a_bad_flag_is_one_line_that_names_it(flags, message):
+    with pytest.raises(UsageError, match=re.escape(message)):
         parse_config(flags)
 
 
@@ -134,11 +134,11 @@ def test_help_shows_the_numbers_of_the_task(capsys):
     with pytest.raises(SystemExit) as caught:
         parse_config(["walk", "--help-all"])
     assert caught.value.code == 0
-    shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    help_text = " ".join(capsys.readouterr().out.replace("│", " ").split())
     for name, term in walk.TASK.env.reward.items():
         flag = f"--env.reward.{name.replace('_', '-')} FLOAT "
-        assert f"(default: {term.scale})" in shown[shown.index(flag) :][:200]
-    assert "--env.reward.forward " not in shown
+        assert f"(default: {term.scale})" in help_text[help_text.index(flag) :][:200]
+    assert "--env.reward.forward " not in help_text
 
 
 def write_run(folder: Path, content: str) -> None:
@@ -166,13 +166,13 @@ OLD = """{"config": {"preset": "run", "env": {"reward": {"forward": 1.0}}},
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         *((text, r"config\.json") for text in ("", "{", "[]", '{"config": {"steps": "x"}}', "{}")),
         (OLD, r"is of quadwalk 0\.1\.0 or before"),
     ],
 )
-def test_a_configuration_that_is_damaged_or_too_old_is_one_line(tmp_path, text, said):
+def test_a_configuration_that_is_damaged_or_too_old_is_one_line(tmp_path, text, message):
     write_run(tmp_path / "dog", text)
-    with pytest.raises(UserError, match=said):
+    with pytest.raises(UserError, match=message):
         parse_config(["--runs", str(tmp_path), "--resume", "dog"])

@@ -111,22 +111,22 @@ def plain(tmp_path_factory, flags) -> Path:
 
 
 @pytest.fixture(scope="module")
-def turned(tmp_path_factory, flags) -> tuple[Path, FakePage]:
+def changed_run(tmp_path_factory, flags) -> tuple[Path, FakePage]:
     """Return a run in which a reward changed its sign after three iterations, and its page."""
     runs = tmp_path_factory.mktemp("turned")
     page = train_at_desk(flags(runs, "turned", ITERATIONS, OFTEN), {3: [write_set(SCALE, -1.0)]})
     return runs / "turned", page
 
 
-def test_a_changed_reward_counts_in_the_next_iteration(plain, turned):
-    run, page = turned
+def test_a_changed_reward_counts_in_the_next_iteration(plain, changed_run):
+    run, page = changed_run
     before, after = read_metrics(Run(plain)), read_metrics(Run(run))
     np.testing.assert_equal(after[:3], before[:3])
-    own = "train/reward/forward"
-    assert after[3][own] == -before[3][own] != 0.0
+    column = "train/reward/forward"
+    assert after[3][column] == -before[3][column] != 0.0
     assert after[4]["train/speed"] != before[4]["train/speed"]
     shares = page.get("iteration")[3]["shares"]
-    assert shares["forward"] == after[3][own]
+    assert shares["forward"] == after[3][column]
     assert sum(shares.values()) == pytest.approx(after[3]["train/reward"], abs=1e-5)
     number = next(n for n in page.get("desk")[-1]["numbers"] if n["name"] == SCALE)
     assert (number["value"], number["start"], number["group"]) == (-1.0, 1.0, "reward")
@@ -135,8 +135,8 @@ def test_a_changed_reward_counts_in_the_next_iteration(plain, turned):
     assert states[-1] == "ended"
 
 
-def test_what_a_policy_was_trained_with_is_kept_with_it(turned):
-    run = Run(turned[0])
+def test_what_a_policy_was_trained_with_is_kept_with_it(changed_run):
+    run = Run(changed_run[0])
     policy = load_policy(run.policy)
     assert policy.changed == {"env.reward.forward": {"start": 1.0, "now": -1.0}}
     assert policy.config.env.reward["forward"].scale == -1.0
@@ -193,8 +193,8 @@ class KilledError(BaseException):
     """An error that ends a training without anything being saved."""
 
 
-@pytest.mark.parametrize("lost", [False, True], ids=["after the change", "before it"])
-def test_a_killed_session_resumes_with_its_changes(use_desk, whole, tmp_path, same_result, lost):
+@pytest.mark.parametrize("is_lost", [False, True], ids=["after the change", "before it"])
+def test_a_killed_session_resumes_with_its_changes(use_desk, whole, tmp_path, same_result, is_lost):
     def kill(row: dict[str, float]) -> None:
         if row["steps"] == 64 * 7:
             raise KilledError
@@ -202,13 +202,14 @@ def test_a_killed_session_resumes_with_its_changes(use_desk, whole, tmp_path, sa
     with pytest.raises(KilledError):
         use_desk("killed", LATE, watch=kill)
     run = Run(tmp_path / "killed")
-    last = run.locate_checkpoint(192 if lost else 384)
+    last = run.locate_checkpoint(192 if is_lost else 384)
     for path in list_checkpoints(run):
         if path.name > last.name:
             path.unlink()
     assert list_checkpoints(run)[-1] == last
     train_at_desk([f"--runs={tmp_path}", "--resume=killed"])
-    same_result(run.path, whole, best=not lost)  # checkpoints, of which it is one, are others then
+    # Checkpoints, of which the best is one, are others where one is lost.
+    same_result(run.path, whole, best=not is_lost)
     assert read_changes(run) == read_changes(Run(whole))
 
 
@@ -261,8 +262,8 @@ def test_two_pages_show_one_desk_and_the_last_change_holds(flags, tmp_path):
                 assert wait_until(lambda: not page.messages.empty())
 
         train_with_page(page, flags(tmp_path, "shared", 6, "--desk"), watch=change)
-        shown = [read_scales(browser) for browser in (first, second)]
-    assert shown == [[1.0, 2.0, 3.0, 4.0, 4.0]] * 2
+        scales = [read_scales(browser) for browser in (first, second)]
+    assert scales == [[1.0, 2.0, 3.0, 4.0, 4.0]] * 2
     assert [change.new for change in read_changes(Run(tmp_path / "shared"))] == [2.0, 3.0, 4.0]
 
 
@@ -313,17 +314,17 @@ def test_weights_that_are_lost_undo_the_change(use_desk, plain, tmp_path, same_r
 
 
 def test_a_notebook_changes_numbers_by_a_function(use_desk, tmp_path):
-    seen = []
+    iterations = []
 
     def look(iteration):
-        seen.append(iteration)
+        iterations.append(iteration)
         return {"env.reward.forward": -2.0} if iteration.iteration == 2 else None
 
     use_desk("notebook", None, on_iteration=look)
-    assert [each.steps for each in seen] == [64 * (k + 1) for k in range(ITERATIONS)]
-    assert [each.scales["forward"] for each in seen[:4]] == [1.0, 1.0, -2.0, -2.0]
-    assert seen[2].numbers[SCALE] == -2.0
-    assert seen[0].row["steps"] == 64
+    assert [each.steps for each in iterations] == [64 * (k + 1) for k in range(ITERATIONS)]
+    assert [each.scales["forward"] for each in iterations[:4]] == [1.0, 1.0, -2.0, -2.0]
+    assert iterations[2].numbers[SCALE] == -2.0
+    assert iterations[0].row["steps"] == 64
     assert len(read_changes(Run(tmp_path / "notebook"))) == 1
 
 

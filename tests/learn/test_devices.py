@@ -24,14 +24,18 @@ def set_machine(monkeypatch):
     import jax
 
     def set_devices(platform: str, count: int, processes: int = 1, cores: int = 4):
-        found = [SimpleNamespace(id=k, process=k * processes // count) for k in range(count)]
+        machine_devices = [
+            SimpleNamespace(id=k, process=k * processes // count) for k in range(count)
+        ]
         prepared: list[int] = []
         monkeypatch.setattr(devices, "_configure_jax", prepared.append)
         monkeypatch.setattr(devices, "join", lambda config: None)
         monkeypatch.setattr(devices, "count_cores", lambda: cores)
-        monkeypatch.setattr(jax, "devices", lambda: found)
+        monkeypatch.setattr(jax, "devices", lambda: machine_devices)
         monkeypatch.setattr(
-            jax, "local_devices", lambda process: [d for d in found if d.process == process]
+            jax,
+            "local_devices",
+            lambda process: [d for d in machine_devices if d.process == process],
         )
         monkeypatch.setattr(jax, "default_backend", lambda: platform)
         return prepared
@@ -40,7 +44,7 @@ def set_machine(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("platform", "count", "cores", "asked", "used"),
+    ("platform", "count", "cores", "envs_flag", "used"),
     [
         *[("cpu", n, n, None, used) for n, used in ((4, 4), (12, 8))],  # one for each core
         ("cpu", 3, 3, 96, 2),
@@ -49,12 +53,14 @@ def set_machine(monkeypatch):
     ],
 )
 def test_all_devices_are_used_that_can_share_evenly(
-    set_machine, platform, count, cores, asked, used
+    set_machine, platform, count, cores, envs_flag, used
 ):
     prepared = set_machine(platform, count, cores=cores)
-    config, found = devices.choose_devices(dataclasses.replace(sprint.TASK, envs=asked))
-    envs = asked or {"cpu": 2048, "gpu": 8192}[platform]
-    assert (config.envs, config.devices, len(found)) == (envs, used, used)
+    config, chosen_devices = devices.choose_devices(
+        dataclasses.replace(sprint.TASK, envs=envs_flag)
+    )
+    envs = envs_flag or {"cpu": 2048, "gpu": 8192}[platform]
+    assert (config.envs, config.devices, len(chosen_devices)) == (envs, used, used)
     assert prepared == [used] or count != cores
 
 
@@ -72,21 +78,25 @@ PAIR = DistributedConfig(coordinator="a:1", processes=2)
 
 
 @pytest.mark.parametrize(
-    ("distributed", "asked", "used"),
+    ("distributed", "devices_flag", "used"),
     [(DistributedConfig(), 2, [0, 1]), (PAIR, 4, [0, 1, 4, 5])],
 )
 def test_what_is_asked_for_is_used_and_as_much_of_each_process(
-    set_machine, distributed, asked, used
+    set_machine, distributed, devices_flag, used
 ):
     set_machine("gpu", 8, processes=distributed.processes)
-    config, found = devices.choose_devices(
-        dataclasses.replace(sprint.TASK, envs=512, devices=asked, distributed=distributed)
+    config, chosen_devices = devices.choose_devices(
+        dataclasses.replace(sprint.TASK, envs=512, devices=devices_flag, distributed=distributed)
     )
-    assert (config.envs, config.devices, [d.id for d in found]) == (512, asked, used)
+    assert (config.envs, config.devices, [d.id for d in chosen_devices]) == (
+        512,
+        devices_flag,
+        used,
+    )
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("change", "message"),
     [
         ({"devices": 16}, "--devices is 16; expected at most the 8 there are"),
         ({"devices": 3}, "--ppo.eval-envs is 64; expected a multiple of 3, the devices"),
@@ -95,9 +105,9 @@ def test_what_is_asked_for_is_used_and_as_much_of_each_process(
         ({"devices": 3, "distributed": PAIR}, "--devices is 3; expected a multiple of 2"),
     ],
 )
-def test_what_cannot_be_shared_is_named(set_machine, change, named):
+def test_what_cannot_be_shared_is_named(set_machine, change, message):
     set_machine("gpu", 8)
-    with pytest.raises(UsageError, match=re.escape(named)):
+    with pytest.raises(UsageError, match=re.escape(message)):
         devices.choose_devices(dataclasses.replace(sprint.TASK, **change))
 
 

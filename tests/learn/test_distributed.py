@@ -28,10 +28,10 @@ def start_pair(start, tmp_path):
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
         shared = f"--distributed.coordinator=127.0.0.1:{port}", "--distributed.processes=2"
-        given = *flags, *shared, "--distributed.process={}"
+        arguments = *flags, *shared, "--distributed.process={}"
         outputs = [tmp_path / f"output{number}" for number in (0, 1)]
         return [
-            start(output, *(flag.format(number) for flag in given))
+            start(output, *(flag.format(number) for flag in arguments))
             for number, output in enumerate(outputs)
         ], outputs
 

@@ -88,7 +88,7 @@ DAMAGED = "is damaged or foreign"
 
 
 @pytest.mark.parametrize(
-    ("content", "config", "said"),
+    ("content", "config", "message"),
     [
         (b"", None, DAMAGED),
         (b"PK\x03\x04 half", None, DAMAGED),
@@ -97,14 +97,14 @@ DAMAGED = "is damaged or foreign"
         ({"action": np.zeros(12, np.float32)}, to_dict(CONFIG), "does not fit .* has no before/"),
     ],
 )
-def test_a_file_that_cannot_be_replayed_is_named(run, content, config, said):
+def test_a_file_that_cannot_be_replayed_is_named(run, content, config, message):
     run.nan.mkdir()
     path = run.nan / "step_000000000001.npz"
     if config is None:
         path.write_bytes(content)
     else:
         checkpoint.save(path, content, {"kind": "nan", "config": config})
-    with pytest.raises(UserError, match=rf"step_000000000001\.npz {said}"):
+    with pytest.raises(UserError, match=rf"step_000000000001\.npz {message}"):
         nan.replay(path)
 
 
@@ -133,9 +133,9 @@ def test_a_training_keeps_them_counts_them_and_goes_on(tmp_path, flags, train, c
     counts = np.diff([0.0, *(row["train/nan"] for row in rows)])
     assert counts.sum() > 3
     with_nan = [row["steps"] for row, count in zip(rows, counts, strict=True) if count]
-    kept = sorted(run.nan.iterdir())
-    assert [int(path.stem[5:]) for path in kept] == with_nan[: nan.KEPT]
-    for path in kept:
+    files = sorted(run.nan.iterdir())
+    assert [int(path.stem[5:]) for path in files] == with_nan[: nan.KEPT]
+    for path in files:
         arrays, metadata = checkpoint.load(path, "nan")
         assert arrays["before/physics/qpos"][1] > 0.5  # which is when the toy gives no number
         tipped = metadata["config"]["env"]["termination"]["tipped"]

@@ -158,11 +158,12 @@ def test_a_mirrored_observation_has_the_mirrored_action_with_the_other_lead(netw
     observation = sample_normal(10, 50, SIZE)
 
     def apply_networks(observation, lead):
-        led = jax.tree_util.tree_map_with_path(
+        lead_params = jax.tree_util.tree_map_with_path(
             lambda path, leaf: lead * leaf if path[-1].key == "lead" else leaf, params
         )
         inputs = networks.normalize(statistics, observation)
-        return networks.apply_policy(led.policy, inputs), networks.apply_value(led.value, inputs)
+        policy = networks.apply_policy(lead_params.policy, inputs)
+        return policy, networks.apply_value(lead_params.value, inputs)
 
     policy, value = apply_networks(observation, 1.0)
     image, image_value = apply_networks(MIRRORS.observation(observation), -1.0)
@@ -210,8 +211,10 @@ def test_a_stochastic_policy_acts_with_noise_where_it_is_unsure(networks, statis
     assert np.abs(np.corrcoef(joints) - np.eye(ACTIONS)).max() < 0.1
     np.testing.assert_array_equal(noise, measure_noise(observation))
     # An observation that differs by a tenth of its deviation has other noise.
-    moved = measure_noise(observation + 0.1 * statistics.std * sample_normal(13, 4000, SIZE))
-    assert np.corrcoef(noise[noisy], moved[noisy])[0, 1] < 0.9
+    shifted_noise = measure_noise(
+        observation + 0.1 * statistics.std * sample_normal(13, 4000, SIZE)
+    )
+    assert np.corrcoef(noise[noisy], shifted_noise[noisy])[0, 1] < 0.9
 
 
 def test_a_symmetric_network_needs_halves():
@@ -267,8 +270,8 @@ def test_statistics_are_those_of_brax_of_the_data_and_their_mirror_image(network
 def test_what_never_varied_is_passed_on_less_its_mean():
     mean, observation = jnp.array([0.0, 50.0, 2.0]), sample_normal(3, 5, 3)
     constant = NestedMeanStd(mean, jnp.array([1e-6, 1e-3, 0.5]))
-    found = normalize(constant, observation)
-    np.testing.assert_array_equal(found, (observation - mean) / jnp.array([1.0, 1.0, 0.5]))
+    outputs = normalize(constant, observation)
+    np.testing.assert_array_equal(outputs, (observation - mean) / jnp.array([1.0, 1.0, 0.5]))
 
 
 def test_samples_have_the_mean_and_deviation_of_the_distribution():

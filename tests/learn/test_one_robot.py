@@ -69,11 +69,11 @@ def observe_random_states(env):
         state = env.sensors.start_history(env.robot, state)
         for i in range(6):
             at_rest = start.physics
-            moved = at_rest._replace(
+            pose = at_rest._replace(
                 qpos=at_rest.qpos + physics[i, :19], qvel=at_rest.qvel + physics[i, 19:]
             )
             state = env.sensors.measure(
-                env.robot, state._replace(physics=moved, last_action=action[i])
+                env.robot, state._replace(physics=pose, last_action=action[i])
             )
         return env.sensors.observe(env.robot, state)[: env.policy_size]
 

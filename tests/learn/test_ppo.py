@@ -131,8 +131,8 @@ def test_the_next_episodes_are_where_the_curriculum_says_but_for_those_that_eval
         np.asarray(episodes.choose_tiles(env, state, jnp.bool_(False), 6, jax.random.PRNGKey(seed)))
         for seed in range(30)
     ]
-    assert all(drawn[:6].tolist() == [1, 4, 2, 5, 1, 4] for drawn in draws)
-    assert {int(tile) for drawn in draws for tile in drawn[6:]} == set(range(6))
+    assert all(tiles[:6].tolist() == [1, 4, 2, 5, 1, 4] for tiles in draws)
+    assert {int(tile) for tiles in draws for tile in tiles[6:]} == set(range(6))
     first = episodes.choose_tiles(env, state, jnp.bool_(True), 6, jax.random.PRNGKey(0))
     assert (np.asarray(first)[:6] // 3).tolist() == [0, 1, 0, 1, 0, 1]
     none = SimpleNamespace(curriculum=None)
@@ -225,15 +225,15 @@ def test_some_that_fell_meet_the_same_conditions_once_more():
     fell = jnp.asarray(number % 2)
     after, starts = make_states(1.0), make_states(-1.0)
     retries = episodes.choose_retries(0.25, after, training_envs, jax.random.PRNGKey(0))
-    found = episodes.retry_conditions(retries, after, starts)
-    np.testing.assert_array_equal(found.targets, -vector)
-    np.testing.assert_array_equal(found.key, -vector)
-    again = np.asarray(found.delay) > 0
+    new_conditions = episodes.retry_conditions(retries, after, starts)
+    np.testing.assert_array_equal(new_conditions.targets, -vector)
+    np.testing.assert_array_equal(new_conditions.key, -vector)
+    again = np.asarray(new_conditions.delay) > 0
     assert 0.2 < again[:training_envs].mean() / 0.5 < 0.3
     assert not again[training_envs:].any()
     assert not again[::2].any()
-    np.testing.assert_array_equal(found.push, np.where(again[:, None], vector, -vector))
-    np.testing.assert_array_equal(found.noise, np.where(again, number, -number))
+    np.testing.assert_array_equal(new_conditions.push, np.where(again[:, None], vector, -vector))
+    np.testing.assert_array_equal(new_conditions.noise, np.where(again, number, -number))
 
 
 def test_an_episode_after_a_fall_is_seen_as_it_starts(quadruped, monkeypatch):
@@ -252,26 +252,28 @@ def test_an_episode_after_a_fall_is_seen_as_it_starts(quadruped, monkeypatch):
     fell = jnp.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     over = after.replace(done=fell.at[3].set(1.0), metrics={**after.metrics, "fell": fell})
     config = dataclasses.replace(task.ppo, retry=1.0 - 1e-6)
-    found = jax.jit(
+    next_state = jax.jit(
         lambda *states: episodes.replace_finished(env, config, lambda obs: obs[:, 0], *states)[1],
         static_argnums=2,
     )(over, start, 2, jax.random.PRNGKey(0))
-    over, start, found = jax.device_get((over, start, found))
-    steps = found.pipeline_state.steps
+    over, start, next_state = jax.device_get((over, start, next_state))
+    steps = next_state.pipeline_state.steps
     assert steps.tolist() == [*start.pipeline_state.steps[:3], 0, *over.pipeline_state.steps[4:]]
-    np.testing.assert_array_equal(found.obs[4:], over.obs[4:])
-    encoder = found.pipeline_state.conditions.encoder
+    np.testing.assert_array_equal(next_state.obs[4:], over.obs[4:])
+    encoder = next_state.pipeline_state.conditions.encoder
     np.testing.assert_array_equal(encoder[:2], over.pipeline_state.conditions.encoder[:2])
     np.testing.assert_array_equal(encoder[2:4], start.pipeline_state.conditions.encoder[2:4])
-    moves = np.any(found.pipeline_state.command.velocity != 0.0, axis=-1)
+    moves = np.any(next_state.pipeline_state.command.velocity != 0.0, axis=-1)
     clock = 2.0 * np.pi * steps / 20.0
     for row in range(6):
-        seen = dict(zip(names, found.obs[row], strict=False))
-        assert seen["clock_sine"] == pytest.approx(moves[row] * np.sin(clock[row]), abs=1e-4)
-        assert seen["clock_cosine"] == pytest.approx(moves[row] * np.cos(clock[row]), abs=1e-4)
-        off = found.pipeline_state.qpos[row, 7:] - env.robot.home_joints + encoder[row]
+        observation = dict(zip(names, next_state.obs[row], strict=False))
+        assert observation["clock_sine"] == pytest.approx(moves[row] * np.sin(clock[row]), abs=1e-4)
+        assert observation["clock_cosine"] == pytest.approx(
+            moves[row] * np.cos(clock[row]), abs=1e-4
+        )
+        off = next_state.pipeline_state.qpos[row, 7:] - env.robot.home_joints + encoder[row]
         for ago in ("", "[-1]", "[-4]"):
-            measured = [seen[f"joint_pos_{joint}{ago}"] for joint in quadruped.joints]
+            measured = [observation[f"joint_pos_{joint}{ago}"] for joint in quadruped.joints]
             np.testing.assert_allclose(measured, off, atol=1e-5)
 
 
@@ -286,7 +288,7 @@ def test_the_first_step_that_gave_no_number_is_kept(networks, iterate, poisoned)
     _, data, metrics = collect_rows(iterate, (learner, state.workers._replace(envs=envs)))
     nan_step = metrics["nan_step"]
     assert metrics["count/nan"] == len(poisoned)
-    assert (nan_step.found > 0) == bool(poisoned)
+    assert (nan_step.flag > 0) == bool(poisoned)
     if poisoned:
         # Each device has six environments, of which the last two are for evaluation.
         first = poisoned[0]
@@ -314,10 +316,10 @@ def test_the_first_iteration_only_measures_the_observations(networks, iterate):
     jax.tree.map(np.testing.assert_array_equal, before.params, after.params)
     assert after.normalizer.mean[0] == pytest.approx(1.5, abs=0.5)  # of 0, 1, 2, 3
     state, _ = iterate(state)
-    learnt = jax.device_get(state.learner.params)
+    params = jax.device_get(state.learner.params)
     assert any(
         (a != b).any()
-        for a, b in zip(jax.tree.leaves(after.params), jax.tree.leaves(learnt), strict=True)
+        for a, b in zip(jax.tree.leaves(after.params), jax.tree.leaves(params), strict=True)
     )
 
 
@@ -335,14 +337,14 @@ class Late(Counter):
 
     def step(self, state: State, action: jax.Array) -> State:
         age = state.info["age"] + 1.0
-        shown = jnp.where(age >= self.late, action[0], 0.0)
-        return self._show(super().step(state, action), age, shown)
+        signal = jnp.where(age >= self.late, action[0], 0.0)
+        return self._show(super().step(state, action), age, signal)
 
     def start_episode(self, state: State, **changes: jax.Array) -> State:
         return self._show(super().start_episode(state, **changes), state.info["age"], jnp.zeros(()))
 
-    def _show(self, state: State, age: jax.Array, shown: jax.Array) -> State:
-        obs = jnp.concatenate([state.obs, jnp.stack([shown, jnp.float32(self.constant)])])
+    def _show(self, state: State, age: jax.Array, signal: jax.Array) -> State:
+        obs = jnp.concatenate([state.obs, jnp.stack([signal, jnp.float32(self.constant)])])
         return state.replace(obs=obs, info={**state.info, "age": age})
 
 
@@ -402,8 +404,8 @@ def test_every_device_holds_the_same_learner(networks, iterate):
     ],
 )
 def test_the_policy_settles_towards_the_end(share, progress, expected):
-    found = ppo.anneal(0.03, 0.01, share, jnp.asarray(progress))
-    assert float(found) == pytest.approx(expected)
+    scale = ppo.anneal(0.03, 0.01, share, jnp.asarray(progress))
+    assert float(scale) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -423,8 +425,10 @@ def test_the_policy_settles_towards_the_end(share, progress, expected):
     ],
 )
 def test_the_learning_rate_follows_the_change_of_the_policy_within_its_bounds(rate, kl, expected):
-    found = ppo.adapt_learning_rate(CONFIG, jnp.asarray(rate), jnp.asarray(kl), jnp.asarray(0.03))
-    assert float(found) == pytest.approx(expected)
+    new_rate = ppo.adapt_learning_rate(
+        CONFIG, jnp.asarray(rate), jnp.asarray(kl), jnp.asarray(0.03)
+    )
+    assert float(new_rate) == pytest.approx(expected)
 
 
 def test_a_state_whose_action_is_sure_does_not_rule_the_learning_rate():

@@ -65,9 +65,9 @@ def test_a_run_that_is_resumed_remembers_the_best(run, write):
 
 def test_a_best_policy_that_is_damaged_is_reported_and_replaced(run, write):
     run.best.write_bytes(b"half")
-    said = []
-    write(1.0, warn=said.append)
-    assert "best.npz is damaged" in said[0]
+    warnings = []
+    write(1.0, warn=warnings.append)
+    assert "best.npz is damaged" in warnings[0]
     assert load_score(run.best) == (10, 1.0)
 
 
@@ -86,8 +86,8 @@ def test_the_end_says_which_policy_is_the_best(tmp_path, flags, train, capsys):
     saved = {steps: scores[steps] for steps in (256, 512, 768)}
     assert saved[steps] == max(saved.values())
     assert score == pytest.approx(saved[steps])
-    said = capsys.readouterr().out
-    assert f"best.npz ({'the same' if steps == 768 else f'after {steps} steps'})" in said
+    output = capsys.readouterr().out
+    assert f"best.npz ({'the same' if steps == 768 else f'after {steps} steps'})" in output
 
 
 def test_a_policy_remembers_in_what_order_it_sees(tmp_path, flags, train):
@@ -100,15 +100,15 @@ def test_a_policy_remembers_in_what_order_it_sees(tmp_path, flags, train):
 
 
 def test_a_callback_gets_each_row_once_it_is_written(tmp_path, flags, train):
-    watched, written = [], []
+    callback_rows, file_rows = [], []
 
     def watch(row):
-        watched.append(row)
-        written.append(read_metrics(Run(tmp_path / "a"))[-1])
+        callback_rows.append(row)
+        file_rows.append(read_metrics(Run(tmp_path / "a"))[-1])
 
     train(*flags(tmp_path, "a", 5), watch=watch)
-    assert [row["steps"] for row in watched] == [64, 128, 192, 256, 320]
-    for row, same in zip(watched, written, strict=True):
+    assert [row["steps"] for row in callback_rows] == [64, 128, 192, 256, 320]
+    for row, same in zip(callback_rows, file_rows, strict=True):
         np.testing.assert_equal({**row}, same)
 
 
@@ -132,5 +132,7 @@ def test_a_watched_training_saves_its_policy_often(train, flags, tmp_path, monke
     assert policies == [(64, 0), (128, 64), (192, 128)]
     assert load_score(Run(tmp_path / "seen").policy)[0] == 192
     train(*flags(tmp_path, "unseen", 3, often))
-    seen, unseen = (Run(tmp_path / name).metrics.read_bytes() for name in ("seen", "unseen"))
-    assert seen == unseen
+    watched_metrics, plain_metrics = (
+        Run(tmp_path / name).metrics.read_bytes() for name in ("seen", "unseen")
+    )
+    assert watched_metrics == plain_metrics

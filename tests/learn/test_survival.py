@@ -62,7 +62,7 @@ def test_the_same_seed_gives_the_same_files(whole, tmp_path, flags, train, same_
 
 
 @pytest.mark.parametrize(
-    ("name", "known", "steps"),
+    ("name", "handler", "steps"),
     [
         ("SIGINT", signal.default_int_handler, 128),
         ("SIGTERM", signal.SIG_DFL, 128),
@@ -71,7 +71,7 @@ def test_the_same_seed_gives_the_same_files(whole, tmp_path, flags, train, same_
     ],
 )
 def test_a_signal_that_is_not_ignored_ends_training_with_everything_saved(
-    name, known, steps, tmp_path, flags, train
+    name, handler, steps, tmp_path, flags, train
 ):
     number = getattr(signal, name)
 
@@ -81,10 +81,10 @@ def test_a_signal_that_is_not_ignored_ends_training_with_everything_saved(
             if name == "SIGHUP":  # from the shell, and from the system
                 signal.raise_signal(number)
 
-    before = signal.signal(number, known)
+    before = signal.signal(number, handler)
     try:
         train(*flags(tmp_path, "a", 4), watch=end)
-        assert signal.getsignal(number) == known
+        assert signal.getsignal(number) == handler
     finally:
         signal.signal(number, before)
     assert load_policy(tmp_path / "a" / "policy.npz").steps == steps
@@ -167,9 +167,9 @@ def test_the_checkpoint_before_a_truncated_one_is_resumed(
     copied.config.write_text(to_module_names(config))
     assert config.count('"reward:') == copied.config.read_text().count('"quadwalk.task.reward:') > 5
     resume()
-    said = capsys.readouterr().out
-    assert f"{last} is damaged or foreign" in said
-    assert f"after {64 * (ITERATIONS - 2):,} steps" in said
+    output = capsys.readouterr().out
+    assert f"{last} is damaged or foreign" in output
+    assert f"after {64 * (ITERATIONS - 2):,} steps" in output
     same_result(copied.path, whole)
     assert copied.config.read_text().count('"reward:') > 5
 
@@ -264,15 +264,15 @@ def test_a_full_disk_ends_no_training(
     arguments = flags(folder, "full", ITERATIONS, OFTEN)
     if freed:
         train(*arguments)
-        said = capsys.readouterr().out
-        assert "metrics: written again" in said
-        assert "checkpoint: written again" in said
+        output = capsys.readouterr().out
+        assert "metrics: written again" in output
+        assert "checkpoint: written again" in output
     else:
         with pytest.raises(UserError, match="No space left on device") as caught:
             train(*arguments)
         assert "the last good checkpoint is" in str(caught.value)
         assert caught.value.exit_status == 1
-        said = capsys.readouterr().out
+        output = capsys.readouterr().out
         last = find_latest_checkpoint(Run(run), pytest.fail)
         assert checkpoint.load(last, "checkpoint")[1]["steps"] >= 64 * 18
         assert load_policy(run / "policy.npz").steps >= 64 * 18
@@ -280,7 +280,7 @@ def test_a_full_disk_ends_no_training(
         empty()
         monkeypatch.setattr(RunWriter, "log_iteration", log_iteration)
         train(f"--runs={folder}", "--resume=full")
-    warnings = [line for line in said.splitlines() if "No space left on device" in line]
+    warnings = [line for line in output.splitlines() if "No space left on device" in line]
     assert 1 <= len(warnings) <= 8
     assert all("training continues and will retry" in line for line in warnings)
     same_result(run, whole)
@@ -292,10 +292,10 @@ def test_a_limit_on_file_sizes_is_said_in_one_line(tmp_path, flags, processes):
     process = processes.Process(target=toy.run_train_without_space, args=(output, *arguments))
     process.start()
     process.join(200)
-    said = output.read_text()
-    assert process.exitcode == 1, said
-    assert "Traceback" not in said
-    errors = [line for line in said.splitlines() if line.startswith("error: ")]
+    text = output.read_text()
+    assert process.exitcode == 1, text
+    assert "Traceback" not in text
+    errors = [line for line in text.splitlines() if line.startswith("error: ")]
     assert len(errors) == 1
     assert "File too large" in errors[0]
     assert "step_" in errors[0]

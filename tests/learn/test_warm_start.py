@@ -102,28 +102,28 @@ def act(plain, observation):
     return make_policy(task.TASK.ppo, *plain)(jnp.float32(observation))
 
 
-def assert_same_actions(networks, learner, seen, policy, before, atol=1e-5, signs=1.0):
-    """Assert that `learner` acts on `seen` as `policy` does on `before`, but for `signs`."""
+def assert_same_actions(networks, learner, observation, policy, before, atol=1e-5, signs=1.0):
+    """Assert that `learner` acts on `observation` as `policy` does on `before`, but for `signs`."""
     plain = networks.to_plain(learner.normalizer, learner.params.policy)
-    np.testing.assert_allclose(act(plain, seen), act(policy, before) * signs, atol=atol)
+    np.testing.assert_allclose(act(plain, observation), act(policy, before) * signs, atol=atol)
 
 
 def test_it_acts_as_the_run_does_and_as_randomly_as_at_a_start(source):
     run, config, env, *_, policy = source
     networks, learner, notes = warm_start(run, config, env)
     assert notes == []
-    seen = sample_normal(9, env.observation_size)
-    assert_same_actions(networks, learner, seen, policy, seen)
-    parts = networks.normalize(learner.normalizer, jnp.float32(seen))
+    observation = sample_normal(9, env.observation_size)
+    assert_same_actions(networks, learner, observation, policy, observation)
+    parts = networks.normalize(learner.normalizer, jnp.float32(observation))
     std = networks.apply_policy(learner.params.policy, parts).std
     np.testing.assert_allclose(std, config.ppo.init_std + 0.001 * networks.std_scale, rtol=1e-5)
 
 
 def test_what_is_new_changes_no_action_and_what_is_seen_in_another_order_is_found(source):
     run, config, env, *_, policy = source
-    own = {**OFFSET, **dict(reversed(config.env.observation.items()))}
-    del own["heading"]
-    there = change_config(config, "env", observation=own)
+    terms = {**OFFSET, **dict(reversed(config.env.observation.items()))}
+    del terms["heading"]
+    there = change_config(config, "env", observation=terms)
     other = QuadrupedEnv(env.quadruped, there.env)
     networks, learner, notes = warm_start(run, there, other)
     assert notes == [
@@ -147,15 +147,17 @@ def test_statistics_of_what_is_new_soon_are_its_own_in_any_unit(source, unit):
     _, learner, _ = warm_start(run, there, other)
     normalizer = jax.tree.map(jnp.asarray, learner.normalizer)
     place, number = other.sensors.names.index("offset"), int(normalizer.count.lo)
-    known = np.arange(other.observation_size) != place
-    before = normalizer.mean[known], normalizer.std[known]
+    old_columns = np.arange(other.observation_size) != place
+    before = normalizer.mean[old_columns], normalizer.std[old_columns]
     rng = np.random.default_rng(3)
-    seen = np.float32(rng.normal(normalizer.mean, normalizer.std, (number, len(known))))
-    seen[:, place] = rng.normal(0, unit, number)
-    after = running_statistics.update(normalizer, jnp.asarray(seen))
+    observations = np.float32(
+        rng.normal(normalizer.mean, normalizer.std, (number, len(old_columns)))
+    )
+    observations[:, place] = rng.normal(0, unit, number)
+    after = running_statistics.update(normalizer, jnp.asarray(observations))
     assert 0.6 * unit < after.std[place] < 1.1 * unit
-    np.testing.assert_allclose(after.std[known], before[1], rtol=0.15)
-    np.testing.assert_allclose(after.mean[known], before[0], atol=0.2)
+    np.testing.assert_allclose(after.std[old_columns], before[1], rtol=0.15)
+    np.testing.assert_allclose(after.mean[old_columns], before[0], atol=0.2)
 
 
 def replace_in_joint(urdf, joint, pattern, new):
@@ -182,12 +184,12 @@ def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_pa
     other = QuadrupedEnv(quadruped, config.env)
     networks, learner, notes = warm_start(run, config, other)
     assert notes == []
-    own = {**config.env.observation, "unsaid": Observation(lambda robot, state: state.qpos[2])}
-    there = change_config(config, "env", observation=own)
+    terms = {**config.env.observation, "unsaid": Observation(lambda robot, state: state.qpos[2])}
+    there = change_config(config, "env", observation=terms)
     with pytest.raises(UserError, match=r"'hip' turns the other way .* 'unsaid' does not say how"):
         warm_start(run, there, QuadrupedEnv(quadruped, there.env))
-    seen = sample_normal(9, env.observation_size)
-    there, joint_signs = seen.copy(), np.ones(12)
+    observations = sample_normal(9, env.observation_size)
+    there, joint_signs = observations.copy(), np.ones(12)
     joint_signs[[3, 9]] = -1.0
     hips = {
         f"{p}_{hip}" for p in ("joint_pos", "joint_vel", "last_action") for hip in ("hip", "LR_hip")
@@ -196,14 +198,14 @@ def test_a_robot_with_other_joints_acts_the_same_in_the_same_pose(source, tmp_pa
     conditions = sum(name.startswith("conditions_") for name in other.sensors.critic_names)
     hips |= {f"conditions_{conditions - 12 + joint}" for joint in (3, 9)}
     names = other.sensors.names + other.sensors.critic_names
-    turned = [name.partition("[")[0] in hips for name in names]
+    flips = [name.partition("[")[0] in hips for name in names]
     # Position, speed, last action, each with four steps before; in the critic the first two, too.
-    assert sum(turned) == 2 * (3 * 5 + 2 + 1)
-    there *= np.where(turned, -1.0, 1.0)
-    assert_same_actions(networks, learner, there, policy, seen, 1e-4, joint_signs)
+    assert sum(flips) == 2 * (3 * 5 + 2 + 1)
+    there *= np.where(flips, -1.0, 1.0)
+    assert_same_actions(networks, learner, there, policy, observations, 1e-4, joint_signs)
     np.testing.assert_allclose(
         compute_value(networks, learner, there),
-        compute_value(source.networks, source.learner, seen),
+        compute_value(source.networks, source.learner, observations),
         atol=1e-4,
     )
 
@@ -214,8 +216,8 @@ def compute_foot_moves(env):
     data.qpos[:] = env.quadruped.home
     mujoco.mj_forward(env.mj_model, data)
     moves = np.zeros((4, 3, env.mj_model.nv))
-    for own, name in zip(moves, env.quadruped.feet, strict=True):
-        mujoco.mj_jacGeom(env.mj_model, data, own, None, env.mj_model.geom(name).id)
+    for jacobian, name in zip(moves, env.quadruped.feet, strict=True):
+        mujoco.mj_jacGeom(env.mj_model, data, jacobian, None, env.mj_model.geom(name).id)
     return moves.reshape(12, -1)[:, 6:]
 
 
@@ -245,28 +247,30 @@ def test_legs_whose_knees_point_the_other_way_move_their_feet_alike(source, tmp_
     # Of joints there that move the feet as these do: angles, then actions, by their reaches.
     angles = np.linalg.solve(compute_foot_moves(env), compute_foot_moves(other))
     reach, before = (
-        np.tile([own["hip"], own["thigh"], own["calf"]], 4)
-        for own in (reaches, env.config.action.params)
+        np.tile([scales["hip"], scales["thigh"], scales["calf"]], 4)
+        for scales in (reaches, env.config.action.params)
     )
     actions = angles * reach / before[:, None]
-    seen = sample_normal(9, env.observation_size)
-    seen[:, -12:] = 0.0  # encoders' offsets, of joints without names
-    there, rows = seen.copy(), 0
+    observations = sample_normal(9, env.observation_size)
+    observations[:, -12:] = 0.0  # encoders' offsets, of joints without names
+    there, rows = observations.copy(), 0
     critic = (f"critic {name}" for name in other.sensors.critic_names)
     names = np.array([*other.sensors.names, *critic])
     for name in names:
         part, hip, ago = name.partition(f"_{other.quadruped.joints[0]}")
         if hip:
             joints = [np.flatnonzero(names == f"{part}_{j}{ago}") for j in other.quadruped.joints]
-            own = np.concatenate(joints)
-            there[:, own] = seen[:, own] @ (actions if part == "last_action" else angles).T
+            columns = np.concatenate(joints)
+            there[:, columns] = (
+                observations[:, columns] @ (actions if part == "last_action" else angles).T
+            )
             rows += 1
     assert rows == 3 * 5 + 2
     plain = networks.to_plain(learner.normalizer, learner.params.policy)
-    raw, expected = np.arctanh(act(plain, seen)), np.arctanh(act(policy, there))
+    raw, expected = np.arctanh(act(plain, observations)), np.arctanh(act(policy, there))
     np.testing.assert_allclose(raw @ actions.T, expected, atol=1e-3)
     np.testing.assert_allclose(
-        compute_value(networks, learner, seen),
+        compute_value(networks, learner, observations),
         compute_value(source.networks, source.learner, there),
         atol=1e-4,
     )
@@ -276,12 +280,12 @@ def test_networks_of_another_shape_or_kind_are_refused(source):
     run, config, env, *_ = source
     with pytest.raises(UserError, match=r"--ppo.hidden \(16, 16\); here it is \(32,\)"):
         warm_start(run, change_config(config, "ppo", hidden=(32,)), env)
-    turned = change_config(config, "ppo", symmetric=not config.ppo.symmetric)
-    if turned.ppo.symmetric:
+    other_config = change_config(config, "ppo", symmetric=not config.ppo.symmetric)
+    if other_config.ppo.symmetric:
         with pytest.raises(UserError, match=r"--ppo\.no-symmetric"):
-            warm_start(run, turned, env)
+            warm_start(run, other_config, env)
     else:
-        warm_start(run, turned, env)
+        warm_start(run, other_config, env)
 
 
 def test_a_run_without_a_checkpoint_is_refused(source, tmp_path):
@@ -299,8 +303,8 @@ def test_a_run_with_a_policy_alone_gives_that(source, tmp_path):
     networks, fresh = make_learner(env, config, 6)
     learner, notes = warm_start_from(alone, config, env, networks, fresh)
     assert notes == [f"--init: {alone.path} has a policy alone: the value network is a new one"]
-    seen = sample_normal(9, env.observation_size)
-    assert_same_actions(networks, learner, seen, policy, seen)
+    observations = sample_normal(9, env.observation_size)
+    assert_same_actions(networks, learner, observations, policy, observations)
     jax.tree.map(np.testing.assert_array_equal, learner.params.value, fresh.params.value)
 
 
@@ -320,9 +324,9 @@ def test_a_training_begins_so_and_goes_on_without_its_source(
     train(*flags(tmp_path, "source", 2))
     monkeypatch.setattr("quadwalk.learn.prepare.QuadrupedEnv", Other)
     train(*flags(tmp_path, "begun", 3, "--init=source", "--checkpoint-steps=64"))
-    said = capsys.readouterr().out
-    assert f"begins with the networks of {tmp_path / 'source'}" in said
-    assert "--init: other: is new to these networks" in said
+    output = capsys.readouterr().out
+    assert f"begins with the networks of {tmp_path / 'source'}" in output
+    assert "--init: other: is new to these networks" in output
     # The first iteration measures what is seen; what is new is learnt after that.
     np.testing.assert_array_equal(
         load_kernel("begun", 64), load_kernel("source", 128) * [[1], [0], [1]]

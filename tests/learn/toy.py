@@ -133,8 +133,8 @@ class Toy(Plain):
 
     def reset(self, rng: jax.Array) -> State:
         """Return the first state of an episode, at rest at a random position."""
-        drawn = jax.random.uniform(rng, (2,))
-        physics = PhysicsState(jnp.zeros(19).at[:2].set(drawn), jnp.zeros(18))
+        numbers = jax.random.uniform(rng, (2,))
+        physics = PhysicsState(jnp.zeros(19).at[:2].set(numbers), jnp.zeros(18))
         return self.make_start(EnvState(physics, jnp.zeros(12), jnp.zeros((), jnp.int32)))
 
     def step(self, state: State, action: jax.Array) -> State:

@@ -35,8 +35,8 @@ class Executed:
     def outputs(self, code: str) -> list[nbformat.NotebookNode]:
         """Return the outputs of the one cell that has `code` in it."""
         cells = [cell for cell in self.notebook.cells if cell.cell_type == "code"]
-        (found,) = (cell for cell in cells if code in cell.source)
-        return found.outputs
+        (code_cell,) = (cell for cell in cells if code in cell.source)
+        return code_cell.outputs
 
     def text(self, code: str) -> str:
         """Return the text that this cell prints."""
@@ -111,15 +111,15 @@ def test_without_the_extra_zoo_the_one_of_another_robot_says_so_at_once(monkeypa
 
 @pytest.mark.parametrize("name", NAMES)
 def test_nothing_is_shown_of_the_machine_it_ran_on(executed, name):
-    done = executed(name)
-    outputs = [output for cell in done.notebook.cells for output in cell.get("outputs", [])]
-    assert list_named_folders(done.notebook) == []
-    assert str(done.folder) not in json.dumps([o.get("text", "") for o in outputs])
+    execution = executed(name)
+    outputs = [output for cell in execution.notebook.cells for output in cell.get("outputs", [])]
+    assert list_named_folders(execution.notebook) == []
+    assert str(execution.folder) not in json.dumps([o.get("text", "") for o in outputs])
     assert [output.text for output in outputs if output.get("name") == "stderr"] == []
 
 
 @pytest.mark.parametrize(
-    ("output", "named"),
+    ("output", "has_folder"),
     [
         (nbformat.v4.new_output("stream", text=f"in {sys.prefix}/lib"), True),
         (nbformat.v4.new_output("display_data", {"text/plain": f"{Path.home()}/a"}), True),
@@ -129,17 +129,17 @@ def test_nothing_is_shown_of_the_machine_it_ran_on(executed, name):
         (nbformat.v4.new_output("stream", text="in runs/a"), False),
     ],
 )
-def test_folders_in_outputs_are_found(output, named):
+def test_folders_in_outputs_are_found(output, has_folder):
     cell = nbformat.v4.new_code_cell(outputs=[output])
-    assert bool(list_named_folders(nbformat.v4.new_notebook(cells=[cell]))) == named
+    assert bool(list_named_folders(nbformat.v4.new_notebook(cells=[cell]))) == has_folder
 
 
 def test_the_robot_is_drawn_and_its_joints_moved(executed):
-    done = executed("01_robot")
-    assert 'name="FR_thigh_joint"' in done.text("robot.urdf.index")
-    assert '<joint name="FR_thigh_joint"' in done.text("xml.index")
-    assert 0.01 < find_orange(done.picture("render_home(")).mean() < 0.3
-    strip = find_orange(done.picture("np.linspace(robot.lower"))
+    notebook = executed("01_robot")
+    assert 'name="FR_thigh_joint"' in notebook.text("robot.urdf.index")
+    assert '<joint name="FR_thigh_joint"' in notebook.text("xml.index")
+    assert 0.01 < find_orange(notebook.picture("render_home(")).mean() < 0.3
+    strip = find_orange(notebook.picture("np.linspace(robot.lower"))
     height, width = strip.shape
     panels = [
         strip[round(a * height) : round((a + 1 / 3) * height)][:, round(b * width) :][
@@ -152,82 +152,82 @@ def test_the_robot_is_drawn_and_its_joints_moved(executed):
 
 
 def test_a_dropped_robot_lies_without_motors_and_stands_with_them(executed):
-    done = executed("01_robot")
-    off, on = map(int, re.findall(r"rests at (\d+) cm", done.text("rests at")))
+    notebook = executed("01_robot")
+    off, on = map(int, re.findall(r"rests at (\d+) cm", notebook.text("rests at")))
     assert 3 < off < 15  # half of the trunk, 11 cm high, and what lies under it
     assert 30 < on < 40  # the standing height is 38 cm
-    assert find_orange(done.picture("rests at")).mean() > 0.01
-    assert curves(done.picture("standing height")) >= 2
+    assert find_orange(notebook.picture("rests at")).mean() > 0.01
+    assert curves(notebook.picture("standing height")) >= 2
 
 
 def test_both_physics_let_a_crowd_fall_alike(executed):
-    done = executed("01_robot")
-    assert "64 robots fell for 1.2 s" in done.text("in_quadwalk = ")
-    assert "64 robots fell for 1.2 s" in done.text("in_mjx = ")
-    half, most = map(float, re.findall(r"less than ([\d.]+) µm", done.text("apart =")))
+    notebook = executed("01_robot")
+    assert "64 robots fell for 1.2 s" in notebook.text("in_quadwalk = ")
+    assert "64 robots fell for 1.2 s" in notebook.text("in_mjx = ")
+    half, most = map(float, re.findall(r"less than ([\d.]+) µm", notebook.text("apart =")))
     assert half < 1.0
     assert most < 1000.0  # where feet strike the floor a moment apart
-    assert curves(done.picture("robots, dropped")) >= 1
-    assert curves(done.picture("apart =")) >= 2
+    assert curves(notebook.picture("robots, dropped")) >= 1
+    assert curves(notebook.picture("apart =")) >= 2
 
 
 def test_a_training_with_a_reward_of_ones_own_is_drawn_beside_the_usual(executed):
-    done = executed("02_train")
+    notebook = executed("02_train")
     rewards, rows = {}, []
-    for run in (done.folder / "runs").iterdir():
+    for run in (notebook.folder / "runs").iterdir():
         config = json.loads((run / "config.json").read_text())["config"]
         rewards[config["task"]] = set(config["env"]["reward"])
         rows.append([json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()])
     assert rewards["high_steps"] - rewards["sprint"] == {"high_steps"}
     assert [[row["steps"] for row in each] for each in rows] == [[STEPS // 2, STEPS]] * 3
     for number, code in enumerate(("usual = ", "proud = "), 1):
-        assert curves(done.picture(code)) >= number, code
-    assert "-0.02  energy" in done.text("term.function.__doc__")
+        assert curves(notebook.picture(code)) >= number, code
+    assert "-0.02  energy" in notebook.text("term.function.__doc__")
     for label in ("usual reward", "high steps"):
-        assert label in done.text("strides/s")
-    assert find_orange(done.picture("film_strip(")).mean() > 0.01
+        assert label in notebook.text("strides/s")
+    assert find_orange(notebook.picture("film_strip(")).mean() > 0.01
 
 
 def test_a_scale_is_changed_while_training_runs(executed):
-    done = executed("02_train")
-    (desk,) = (done.folder / "runs").glob("*/desk.jsonl")
+    notebook = executed("02_train")
+    (desk,) = (notebook.folder / "runs").glob("*/desk.jsonl")
     changes = [json.loads(line) for line in desk.read_text().splitlines()]
     names = [(change["name"], change["old"], change["new"]) for change in changes]
     assert names == [("env.reward.energy.scale", -0.02, -0.5)]
-    assert curves(done.picture("training.join()")) >= 1
+    assert curves(notebook.picture("training.join()")) >= 1
 
 
 def test_an_evaluation_shows_a_packaged_policy_from_all_sides(executed):
-    done = executed("03_evaluate")
-    assert done.text("result = quadwalk.evaluate(RUN").startswith("run: 33 million steps")
-    assert done.text("meters").count("episode") == 8
-    strip = done.picture("film_strip(")
+    notebook = executed("03_evaluate")
+    assert notebook.text("result = quadwalk.evaluate(RUN").startswith("run: 33 million steps")
+    assert notebook.text("meters").count("episode") == 8
+    strip = notebook.picture("film_strip(")
     assert strip.shape == (2 * 225 + 4, 4 * 360 + 3 * 4, 3)
     assert find_orange(strip).mean() > 0.01
-    assert curves(done.picture("result.report()")) >= 4
-    assert "duty factor" in done.text("gait.duty_factor")
-    table = done.text("quadwalk.compare(")
+    assert curves(notebook.picture("result.report()")) >= 4
+    assert "duty factor" in notebook.text("gait.duty_factor")
+    table = notebook.text("quadwalk.compare(")
     assert "MJX" in table
     assert "MuJoCo C" in table
-    assert curves(done.picture("quadwalk.compare(")) >= 2
+    assert curves(notebook.picture("quadwalk.compare(")) >= 2
 
 
 def test_the_recording_is_whole_and_read_back(executed):
-    done = executed("03_evaluate")
-    assert count_messages(done.folder / "episode_000.mcap") > 100
-    listed = done.text("get_summary()")
-    assert "/contacts" in listed
-    assert "foxglove.FrameTransforms" in listed
-    assert curves(done.picture("iter_decoded_messages(")) >= 2
+    notebook = executed("03_evaluate")
+    assert count_messages(notebook.folder / "episode_000.mcap") > 100
+    listing = notebook.text("get_summary()")
+    assert "/contacts" in listing
+    assert "foxglove.FrameTransforms" in listing
+    assert curves(notebook.picture("iter_decoded_messages(")) >= 2
 
 
 def test_the_gecko_is_told_from_the_cheetah(executed):
-    done = executed("04_gecko")
+    notebook = executed("04_gecko")
     for code in ('film(["blog", "sprint"])', "film(of_post)", "film(of_ours)"):
-        assert find_orange(done.picture(code)).mean() > 0.01, code
+        assert find_orange(notebook.picture(code)).mean() > 0.01, code
     for code in ('footfalls(["blog"', "dots(of_post)", "dots(of_ours)"):
-        assert curves(done.picture(code)) >= 2, code
-    rows = done.text('table(["blog", "sprint"])').splitlines()
+        assert curves(notebook.picture(code)) >= 2, code
+    rows = notebook.text('table(["blog", "sprint"])').splitlines()
     gecko, cheetah = (dict(zip(rows[0].split(), row.split()[1:], strict=False)) for row in rows[1:])
     assert float(gecko["speed"]) < float(cheetah["speed"])
     assert float(gecko["body_contact"]) > 0.1
@@ -237,62 +237,64 @@ def test_the_gecko_is_told_from_the_cheetah(executed):
 
 
 def test_what_breaks_the_ideal_policy_is_drawn_and_listed(executed):
-    done = executed("05_real_world")
-    assert "latency          (0.0, 0.02)" in done.text("getattr(drawn, field.name)")
-    assert curves(done.picture('label="seen"')) >= 1
-    assert find_orange(done.picture("film_strip(")).mean() > 0.01
-    assert curves(done.picture("draw_sweep(")) >= 2
-    kept = json.loads((STUDIES / "robustness/results.json").read_text())["runs"]
-    listed = done.text("def share(")
-    rows = re.findall(r"^sensor noise +([\d.]+) level +(\d+) +(\d+)$", listed, re.MULTILINE)
+    notebook = executed("05_real_world")
+    assert "latency          (0.0, 0.02)" in notebook.text("getattr(drawn, field.name)")
+    assert curves(notebook.picture('label="seen"')) >= 1
+    assert find_orange(notebook.picture("film_strip(")).mean() > 0.01
+    assert curves(notebook.picture("draw_sweep(")) >= 2
+    results = json.loads((STUDIES / "robustness/results.json").read_text())["runs"]
+    listing = notebook.text("def share(")
+    rows = re.findall(r"^sensor noise +([\d.]+) level +(\d+) +(\d+)$", listing, re.MULTILINE)
     assert [row[0] for row in rows] == ["0.5", "1", "2"]
     for value, *shares in rows:
-        for share, result in zip(shares, kept, strict=True):
+        for share, result in zip(shares, results, strict=True):
             points = {p["value"]: p["success"] for p in result["sweeps"]["noise"]["points"]}
             assert float(share) == pytest.approx(100 * points[float(value)], abs=0.6)
 
 
 def test_where_robots_fail_on_uneven_ground_is_drawn_and_listed(executed):
-    done = executed("06_ground")
-    kept = json.loads((STUDIES / "ground/results.json").read_text())
-    variants = dict.fromkeys(result["variant"] for result in kept)
+    notebook = executed("06_ground")
+    results = json.loads((STUDIES / "ground/results.json").read_text())
+    variants = dict.fromkeys(result["variant"] for result in results)
     for code in ("draw_kinds(shown", 'films("stairs_up")', 'films("blocks")', 'films("course")'):
-        picture = done.picture(code)
+        picture = notebook.picture(code)
         filled = picture[:, picture.min(axis=(0, 2)) < 255]  # not where a row has fewer pictures
         assert find_orange(filled).mean() > 0.005, code
-    maps = [out for out in done.outputs("draw_terrain(") if "image/png" in out.get("data", {})]
+    maps = [out for out in notebook.outputs("draw_terrain(") if "image/png" in out.get("data", {})]
     assert len(maps) == len(variants)
-    listed = done.text("for variant, difficulty in (")
+    listing = notebook.text("for variant, difficulty in (")
     worst: dict[tuple[str, float, str], float] = {}  # of all seeds
     for variant, difficulty in (("seeing", 1.0), ("seeing", 0.5), ("blind", 2 / 3)):
-        cells = [r["ground"]["cells"] for r in kept if r["variant"] == variant]
+        cells = [r["ground"]["cells"] for r in results if r["variant"] == variant]
         for cell in itertools.chain(*cells):
             if abs(cell["difficulty"] - difficulty) < 0.01:
                 case = (variant, difficulty, cell["kind"].replace("_", " "))
                 worst[case] = min(cell["success"], worst.get(case, 1.0))
-    rows = re.findall(r"^  (\w[\w ]*?) +(\d+) % succeed", listed, re.MULTILINE)
+    rows = re.findall(r"^  (\w[\w ]*?) +(\d+) % succeed", listing, re.MULTILINE)
     assert rows == [(kind, f"{100 * share:.0f}") for (*_, kind), share in worst.items()]
 
 
 def test_a_robot_of_ones_own_is_imported_stands_and_learns_from_the_packaged_policy(executed):
-    done = executed("07_your_robot")
-    assert done.text("robot = load_quadruped(URDF)").startswith(
+    notebook = executed("07_your_robot")
+    assert notebook.text("robot = load_quadruped(URDF)").startswith(
         "go2_description: 16.1 kg, stands 32"
     )
-    assert np.ptp(done.picture("render_home(").astype(int)) > 100
-    assert int(re.search(r"stands (\d+) cm", done.text("env.motor.kp"))[1]) > 25
-    config = json.loads((done.folder / "runs/go2/config.json").read_text())["config"]
+    assert np.ptp(notebook.picture("render_home(").astype(int)) > 100
+    assert int(re.search(r"stands (\d+) cm", notebook.text("env.motor.kp"))[1]) > 25
+    config = json.loads((notebook.folder / "runs/go2/config.json").read_text())["config"]
     assert config["init"].endswith("pretrained/walk")
-    assert done.text("for rollout, figures in").count("command") == 8
-    assert len(done.outputs("film_strip(")) == 1
+    assert notebook.text("for rollout, figures in").count("command") == 8
+    assert len(notebook.outputs("film_strip(")) == 1
 
 
 def test_sessions_at_the_reward_desk_are_drawn_and_compared(executed):
-    done = executed("08_desk")
-    kept = json.loads((STUDIES / "desk/results.json").read_text())
-    assert find_orange(done.picture('draw_pictures("blog"')).mean() > 0.01
+    notebook = executed("08_desk")
+    results = json.loads((STUDIES / "desk/results.json").read_text())
+    assert find_orange(notebook.picture('draw_pictures("blog"')).mean() > 0.01
     for name, figure in (("blog", "body_contact"), ("walk", "swing_height"), ("run", "power")):
         code = f'compare("{name}"'
-        assert curves(done.picture(code)) >= 1, code
-        _, last = re.search(rf"^{figure} +(\S+) -> +(\S+)", done.text(code), re.MULTILINE).groups()
-        assert float(last) == pytest.approx(kept[name]["policies"][-1][figure], abs=0.006)
+        assert curves(notebook.picture(code)) >= 1, code
+        _, last = re.search(
+            rf"^{figure} +(\S+) -> +(\S+)", notebook.text(code), re.MULTILINE
+        ).groups()
+        assert float(last) == pytest.approx(results[name]["policies"][-1][figure], abs=0.006)

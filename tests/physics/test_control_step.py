@@ -153,9 +153,9 @@ def test_robots_slide_on_slippery_floors_as_far_as_in_mujoco(quadruped, engine, 
         targets = [target] * stepping.substeps
         expected = step_control(converged, motor, quadruped.home, start, targets)
         assert expected.touching
-        lost = np.linalg.norm((start - expected.qvel)[[0, 1, 5]])
+        slowdown = np.linalg.norm((start - expected.qvel)[[0, 1, 5]])
         error = np.linalg.norm((end - expected.qvel)[[0, 1, 5]])
-        assert error < tolerance * lost, (friction, start[[0, 1, 5]], error, lost)
+        assert error < tolerance * slowdown, (friction, start[[0, 1, 5]], error, slowdown)
 
 
 def make_different_robots(quadruped, base: mujoco.MjModel) -> list[tuple[mujoco.MjModel, Motor]]:

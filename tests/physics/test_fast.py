@@ -89,10 +89,10 @@ def solve_arguments(constants, *robots) -> jax.Array:
     return jax.vmap(partial(solve, constants))(*robots)
 
 
-def check_errors(found, expected) -> None:
+def check_errors(accelerations, expected) -> None:
     """Assert that accelerations (robots, 18) are MuJoCo's, relative to each robot's greatest."""
     expected = np.array([data.qacc for data in expected])
-    error = np.abs(np.asarray(found) - expected).max(axis=1) / np.abs(expected).max(axis=1)
+    error = np.abs(np.asarray(accelerations) - expected).max(axis=1) / np.abs(expected).max(axis=1)
     assert error.max() < 1e-9, error
 
 
@@ -118,8 +118,8 @@ def check_accelerations(
     assert min(rows) == 0 or np.ptp(rows) > 8  # from few constraints to many
     with jax.enable_x64(True):
         # Without the shells, which only heights depend on, robots have one structure.
-        found = solve(make_constants(quadruped, model)._replace(shells=()), *robots)
-    check_errors(found, expected)
+        accelerations = solve(make_constants(quadruped, model)._replace(shells=()), *robots)
+    check_errors(accelerations, expected)
 
 
 @pytest.mark.parametrize(
@@ -183,8 +183,8 @@ def test_accelerations_of_a_batch_in_which_no_two_robots_are_alike(quadruped):
     assert len(leaves) > 80
     with jax.enable_x64(True):
         batched = jax.vmap(lambda leaves, *state: solve(assemble(leaves), *state))
-        found = jax.jit(batched)(leaves, *robots)
-    check_errors(found, expected)
+        accelerations = jax.jit(batched)(leaves, *robots)
+    check_errors(accelerations, expected)
 
 
 def test_vmap_maps_the_leaves_of_a_model_that_are_given_an_axis(quadruped):
@@ -210,12 +210,12 @@ def test_vmap_maps_the_leaves_of_a_model_that_are_given_an_axis(quadruped):
     batch = with_leaves(-gravity, friction, damping)
     with jax.enable_x64(True):
         batched = jax.vmap(solve, in_axes=(axes, 0, 0, 0))
-        found = jax.jit(partial(batched, batch))(*robots)
+        accelerations = jax.jit(partial(batched, batch))(*robots)
     models = [copy.copy(base) for _ in range(STATES)]
     for i, model in enumerate(models):
         model.opt.gravity[2], model.geom_friction[:, 0] = -gravity[i], friction[i]
         model.dof_damping[8::3] = damping[i]
-    check_errors(found, compute_accelerations(models, *robots))
+    check_errors(accelerations, compute_accelerations(models, *robots))
 
 
 def check_course(env, torques: np.ndarray, expected: np.ndarray) -> None:
@@ -231,8 +231,8 @@ def check_course(env, torques: np.ndarray, expected: np.ndarray) -> None:
         state = advance(env.model, state, torque)
         return state, jnp.concatenate([state.qpos, state.qvel])
 
-    _, found = jax.jit(lambda s, t: jax.lax.scan(step, s, t))(start, jnp.asarray(torques))
-    error = np.abs(np.asarray(found) - expected[1:])
+    _, states = jax.jit(lambda s, t: jax.lax.scan(step, s, t))(start, jnp.asarray(torques))
+    error = np.abs(np.asarray(states) - expected[1:])
     assert len(error) == 200
     assert error[:, :3].max() < 5e-5
     assert error[:, 3:19].max() < 5e-4
@@ -240,12 +240,12 @@ def check_course(env, torques: np.ndarray, expected: np.ndarray) -> None:
 
 
 def simulate(
-    model: mujoco.MjModel, quadruped, steps: int, control=None, turned=(1, 0, 0, 0)
+    model: mujoco.MjModel, quadruped, steps: int, control=None, quat=(1, 0, 0, 0)
 ) -> tuple[np.ndarray, np.ndarray, set[int]]:
     """Return states, torques and geoms that touched, in MuJoCo C; `control` gives torques (12,)."""
     data = mujoco.MjData(model)
     data.qpos[:] = quadruped.home
-    data.qpos[3:7] = turned
+    data.qpos[3:7] = quat
     data.qvel[:6] = np.random.default_rng(0).uniform(-0.2, 0.2, 6)
     states, torques, touching = [np.r_[data.qpos, data.qvel]], [], set()
     for k in range(steps):
@@ -286,16 +286,16 @@ def test_a_limp_robot_drops_to_its_belly_as_in_mujoco(body_env):
     check_course(body_env, torques, states)
 
 
-@pytest.mark.parametrize("turned", [(1, 0, 0, 0), (0, 1, 0, 0)])
-def test_a_belly_or_back_rests_where_that_of_the_full_model_does(quadruped, turned):
+@pytest.mark.parametrize("quat", [(1, 0, 0, 0), (0, 1, 0, 0)])
+def test_a_belly_or_back_rests_where_that_of_the_full_model_does(quadruped, quat):
     training = quadruped.make_training_model(0.004, 100, 50, "all")
-    ours, full = (
-        simulate(model, quadruped, round(0.8 / model.opt.timestep), turned=turned)[0][-1]
+    state, full_state = (
+        simulate(model, quadruped, round(0.8 / model.opt.timestep), quat=quat)[0][-1]
         for model in (training, quadruped.make_full_model())
     )
-    assert full[2] == pytest.approx(0.056, abs=1e-3)  # half of the trunk's height
-    assert ours[2] == pytest.approx(full[2], abs=1e-3)
-    assert min(abs(ours[3:7] @ turned), abs(full[3:7] @ turned)) > 0.99
+    assert full_state[2] == pytest.approx(0.056, abs=1e-3)  # half of the trunk's height
+    assert state[2] == pytest.approx(full_state[2], abs=1e-3)
+    assert min(abs(state[3:7] @ quat), abs(full_state[3:7] @ quat)) > 0.99
 
 
 def test_knees_and_corners_are_not_measured_as_shapes(env, body_env):
@@ -340,8 +340,8 @@ def test_leg_points_are_those_of_the_placed_feet_and_knees(body_env):
     data = place_robot(model, np.random.default_rng(3).uniform(-1, 1, 19))
     spheres = np.array(find_contact_geoms(model, quadruped.feet)[:2])
     expected = (data.geom_xpos[spheres] - data.xpos[trunk]) @ data.xmat[trunk].reshape(3, 3)
-    found = compute_leg_points(body_env.model, data.qpos[7:])
-    np.testing.assert_allclose(found, expected, atol=1e-6)
+    points = compute_leg_points(body_env.model, data.qpos[7:])
+    np.testing.assert_allclose(points, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("robots", [3, BATCH, 2 * BATCH + 5])
@@ -353,11 +353,14 @@ def test_a_batch_is_its_robots_one_by_one(robots):
         "turned": jax.ShapeDtypeStruct((2,), np.float32),
     }
     function = batch_robots(lambda x, y: {"sum": x[0] + y * x[1], "turned": x[::-1]}, like)
-    found = jax.jit(jax.vmap(function, in_axes=(0, None)))(numbers, 3.0)
-    np.testing.assert_array_equal(found["sum"], numbers[:, 0] + 3 * numbers[:, 1])
-    np.testing.assert_array_equal(found["turned"], numbers[:, ::-1])
+    outputs = jax.jit(jax.vmap(function, in_axes=(0, None)))(numbers, 3.0)
+    np.testing.assert_array_equal(outputs["sum"], numbers[:, 0] + 3 * numbers[:, 1])
+    np.testing.assert_array_equal(outputs["turned"], numbers[:, ::-1])
     one = function(numbers[1], 3.0)
-    assert (one["sum"], one["turned"].tolist()) == (found["sum"][1], found["turned"][1].tolist())
+    assert (one["sum"], one["turned"].tolist()) == (
+        outputs["sum"][1],
+        outputs["turned"][1].tolist(),
+    )
 
 
 def test_a_function_is_traced_for_its_batch_alone():

@@ -87,8 +87,8 @@ def test_on_a_tilted_plane_accelerations_are_those_of_mujoco(quadruped, contacts
     with jax.enable_x64(True):
         constants = make_model(level, quadruped, make_motor(level, quadruped, MotorConfig()))
         constants = add_ground(constants, make_plane(plane[:, 2]))
-        found = solve_constants(constants, qpos, qvel, torque)
-    check_errors(found, expected)
+        accelerations = solve_constants(constants, qpos, qvel, torque)
+    check_errors(accelerations, expected)
 
 
 BALL = """
@@ -110,8 +110,8 @@ def test_frames_are_those_of_mujocos_contacts(along, across):
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     with jax.enable_x64(True):
-        found = jax.jit(compute_contact_frame)(np.float64(along), np.float64(across))
-    np.testing.assert_allclose(np.ravel(found), data.contact[0].frame, atol=1e-12)
+        frame = jax.jit(compute_contact_frame)(np.float64(along), np.float64(across))
+    np.testing.assert_allclose(np.ravel(frame), data.contact[0].frame, atol=1e-12)
 
 
 @settings(max_examples=20, deadline=None)
@@ -209,8 +209,14 @@ def test_over_a_field_robots_fare_as_in_mujoco_with_every_shape_colliding(hilly,
 
     Its contacts are others: a sphere has several.
     """
-    ours, theirs = (run_course(*hilly, engine, limp) for engine in ("fast", "mujoco"))
+    fast_figures, mujoco_figures = (
+        run_course(*hilly, engine, limp) for engine in ("fast", "mujoco")
+    )
     for name, bound in bounds.items():
-        np.testing.assert_allclose(ours[name], theirs[name], atol=bound, err_msg=name)
+        np.testing.assert_allclose(
+            fast_figures[name], mujoco_figures[name], atol=bound, err_msg=name
+        )
     # J: limp joints only brake, but for the physics step in which one comes to rest.
-    np.testing.assert_allclose(ours["energy"], theirs["energy"], rtol=0.1, atol=0.02)
+    np.testing.assert_allclose(
+        fast_figures["energy"], mujoco_figures["energy"], rtol=0.1, atol=0.02
+    )

@@ -207,7 +207,7 @@ def test_gains_that_let_the_robot_sink_are_raised(walker):
     quadruped = read_walker(walker)
     default, motor, note = make_both_motors(quadruped)
     factor = float(motor.kp / default.kp)
-    assert any(factor == pytest.approx(known) for known in FACTORS)
+    assert any(factor == pytest.approx(candidate) for candidate in FACTORS)
     assert note.startswith(f"gains raised to {factor:g} times the default, ")
     # In MuJoCo C with all shapes, and for longer than when they were chosen.
     sunk = simulate_standing(quadruped, 4, default.kp, default.kd)[-1]

@@ -36,13 +36,13 @@ def get_values(axes):
 
 
 def test_every_figure_is_drawn_over_the_steps_in_their_order():
-    shown = draw_panels(ROWS[::-1])
-    del shown[""]  # the axis of minutes
-    assert list(shown) == [
+    panels = draw_panels(ROWS[::-1])
+    del panels[""]  # the axis of minutes
+    assert list(panels) == [
         *("Speed, m/s", "Episodes that fell, %", "Reward", "Forward", "Energy"),
     ]
     for axes, key, factor in zip(
-        shown.values(),
+        panels.values(),
         ("eval/speed", "eval/fall_rate", "train/reward", *REWARDS),
         (1, 100, 1, 1, 1),
         strict=True,
@@ -63,9 +63,9 @@ def test_every_figure_is_drawn_over_the_steps_in_their_order():
     ],
 )
 def test_figures_of_some_tasks_have_panels(figure, title, value):
-    shown = draw_panels([row | figure for row in ROWS])
-    assert set(get_values(shown[title])) == {value}
-    assert ("Speed, m/s" in shown) == (title == "Stairs up")
+    panels = draw_panels([row | figure for row in ROWS])
+    assert set(get_values(panels[title])) == {value}
+    assert ("Speed, m/s" in panels) == (title == "Stairs up")
     alone = draw_panels([{"steps": 1, **figure}])
     assert get_values(alone[title]).tolist() == [value]
     assert alone[title].get_lines()[0].get_marker() == "."  # a single point is seen
@@ -73,12 +73,12 @@ def test_figures_of_some_tasks_have_panels(figure, title, value):
 
 def test_the_best_checkpoint_is_marked_and_a_note_stands_above():
     for best in (None, 7000):
-        shown = draw_panels(ROWS, best)
+        panels = draw_panels(ROWS, best)
         for title in ("Speed, m/s", "Episodes that fell, %", "Reward"):
-            marks = [line.get_xdata()[0] for line in shown[title].get_lines()[1:]]
+            marks = [line.get_xdata()[0] for line in panels[title].get_lines()[1:]]
             assert marks == ([] if best is None else [7000])
-        assert (shown["Speed, m/s"].get_legend() is None) == (best is None)
-        assert len(shown["Energy"].get_lines()) == 1
+        assert (panels["Speed, m/s"].get_legend() is None) == (best is None)
+        assert len(panels["Energy"].get_lines()) == 1
     for note in ("", RANDOMIZED):
         assert draw_learning_curve(ROWS, 7000, note).get_suptitle() == note
 
@@ -92,9 +92,9 @@ def test_what_is_no_number_is_a_gap():
 
 @pytest.mark.parametrize("rows", [[], [{"steps": 0}], [{"steps": 5}, {"steps": 6}]])
 def test_what_was_never_recorded_leaves_its_panel_empty(rows):
-    shown = draw_panels(rows)
-    assert len(shown) == 3
-    assert all(np.isnan(get_values(axes)).all() for axes in shown.values())
+    panels = draw_panels(rows)
+    assert len(panels) == 3
+    assert all(np.isnan(get_values(axes)).all() for axes in panels.values())
 
 
 def test_minutes_stand_above_the_steps_at_which_they_passed():

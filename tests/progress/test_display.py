@@ -180,9 +180,9 @@ def test_a_training_that_was_stopped_is_not_said_to_be_done(stopped):
 def test_figures_of_some_tasks_are_shown_where_there_are_any(figures, plain, live):
     assert plain in train(io.StringIO(), **figures)
     assert plain not in train(io.StringIO())
-    shown = strip_codes(train(Terminal(), **figures))
-    assert re.search(live, shown)
-    assert "-0.03" not in shown
+    output = strip_codes(train(Terminal(), **figures))
+    assert re.search(live, output)
+    assert "-0.03" not in output
     assert not re.search(live, strip_codes(train(Terminal())))
 
 
@@ -292,7 +292,7 @@ def test_a_sparkline_fits_and_never_fails(values, width):
 
 
 @pytest.mark.parametrize(
-    ("shown", "expected"),
+    ("number_text", "expected"),
     [
         (text.draw_sparkline([0, 1, 2, 3, 4, 5, 6, 7], 8), "▁▂▃▄▅▆▇█"),
         (text.draw_sparkline([0, 0, 7, 7], 2), "▁█"),
@@ -320,8 +320,8 @@ def test_a_sparkline_fits_and_never_fails(values, width):
         (text.format_elapsed(125), "2:05"),
     ],
 )
-def test_numbers_read_well(shown, expected):
-    assert shown == expected
+def test_numbers_read_well(number_text, expected):
+    assert number_text == expected
 
 
 @given(st.floats())

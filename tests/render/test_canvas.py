@@ -52,18 +52,18 @@ def make_scene(*shapes: dict, haze: float | None = None) -> mujoco.MjModel:
 
 def make_shapes() -> mujoco.MjModel:
     """Return a scene with every kind of shape."""
-    turned = {"quat": [0.9, 0.2, 0.3, 0.1]}
+    rotation = {"quat": [0.9, 0.2, 0.3, 0.1]}
     return make_scene(
         {"type": Type.mjGEOM_BOX, "size": [0.1, 0.2, 0.05], "pos": [0, 0, 0.25], "rgba": RED},
         {"type": Type.mjGEOM_SPHERE, "size": [0.08] * 3, "pos": [0.4, 0, 0.08], "rgba": BLUE},
         {"type": Type.mjGEOM_CYLINDER, "size": [0.05, 0.1, 0], "pos": [0, 0.4, 0.3], "rgba": GREEN,
-         **turned},
+         **rotation},
         {"type": Type.mjGEOM_CAPSULE, "size": [0.04, 0.1, 0], "pos": [-0.3, -0.1, 0.3],
-         "rgba": RED, **turned},
+         "rgba": RED, **rotation},
         {"type": Type.mjGEOM_ELLIPSOID, "size": [0.1, 0.05, 0.07], "pos": [0.1, -0.4, 0.2],
          "rgba": GREEN},
         {"type": Type.mjGEOM_MESH, "meshname": "cube", "pos": [-0.4, 0.5, 0.2], "rgba": BLUE,
-         **turned},
+         **rotation},
     )  # fmt: skip
 
 
@@ -111,10 +111,10 @@ def test_a_sphere_is_where_projection_puts_it(library):
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     center = BALL["pos"] - (VIEW.lookat - VIEW.distance * ahead)
     expected = rays @ center > np.sqrt(center @ center - BALL["size"][0] ** 2)
-    found = is_red(draw(make_scene(BALL)))
+    disk = is_red(draw(make_scene(BALL)))
     assert expected.sum() > 300
     # Edges are half covered.
-    assert (found & expected).sum() > 0.95 * (found | expected).sum()
+    assert (disk & expected).sum() > 0.95 * (disk | expected).sum()
 
 
 def test_an_empty_floor_has_no_specks_of_its_own_shadow(library):

@@ -39,7 +39,7 @@ def machine(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("libraries", "environment", "chosen"),
+    ("libraries", "environment", "library"),
     [
         ((), {}, None),
         (("EGL",), {}, "egl"),
@@ -53,9 +53,9 @@ def machine(monkeypatch):
         (("EGL", "OSMesa"), {"MUJOCO_GL": "off"}, None),
     ],
 )
-def test_the_environment_and_then_what_there_is_decide(machine, libraries, environment, chosen):
+def test_the_environment_and_then_what_there_is_decide(machine, libraries, environment, library):
     machine(libraries, **environment)
-    assert opengl.choose_library() == chosen
+    assert opengl.choose_library() == library
 
 
 class Broken:
@@ -97,16 +97,16 @@ def test_a_library_that_fails_means_rays_and_silence(machine, monkeypatch, quadr
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("wanted", [None, "glfw"])
-def test_drawing_is_silent_from_start_to_end(wanted):
+@pytest.mark.parametrize("library", [None, "glfw"])
+def test_drawing_is_silent_from_start_to_end(library):
     """Check the machine as it is, and a window where there is no screen."""
-    hidden = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY") if wanted else ()
+    hidden = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY") if library else ()
     environment = {name: value for name, value in os.environ.items() if name not in hidden}
-    if wanted:
-        environment["MUJOCO_GL"] = wanted
+    if library:
+        environment["MUJOCO_GL"] = library
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT], capture_output=True, text=True, env=environment
     )
     assert (done.returncode, done.stderr) == (0, "")
-    if wanted:
+    if library:
         assert done.stdout == "rays\n"

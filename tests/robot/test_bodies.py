@@ -81,10 +81,10 @@ def test_a_body_like_a_held_out_robot_is_drawn_anew(held_out, monkeypatch):
         ALIENGO, leg=leg, density=mass / leg**3, thigh=thigh, length=length, width=width
     )
     near = dataclasses.replace(like, length=1.02 * length, width=0.98 * width)
-    drawn = iter([near, ALIENGO, AHEAD])
+    bodies = iter([near, ALIENGO, AHEAD])
     assert is_held_out(like)
     assert not is_held_out(dataclasses.replace(like, length=1.04 * length))
-    monkeypatch.setattr(robot_bodies, "_sample_body", lambda rng: next(drawn))
+    monkeypatch.setattr(robot_bodies, "_sample_body", lambda rng: next(bodies))
     monkeypatch.setattr(robot_bodies, "HELD_OUT", {"only": held_out})
     expected = AHEAD if is_held_out(ALIENGO) else ALIENGO
     assert list(sample_bodies(1, 0)) == [expected]
@@ -92,18 +92,20 @@ def test_a_body_like_a_held_out_robot_is_drawn_anew(held_out, monkeypatch):
 
 def test_the_alien_go_of_its_figures_is_the_alien_go(quadruped):
     body = make_body(ALIENGO)
-    ours, theirs = (robot.make_full_model(visuals=False) for robot in (body, quadruped))
+    body_model, file_model = (robot.make_full_model(visuals=False) for robot in (body, quadruped))
     link_mass = [0, 1, 2, 3, 4]  # world, trunk and the first leg
-    np.testing.assert_allclose(ours.body_mass[link_mass], theirs.body_mass[link_mass], rtol=0.02)
-    np.testing.assert_allclose(ours.body_pos[1:], theirs.body_pos[1:], atol=1e-3)
+    np.testing.assert_allclose(
+        body_model.body_mass[link_mass], file_model.body_mass[link_mass], rtol=0.02
+    )
+    np.testing.assert_allclose(body_model.body_pos[1:], file_model.body_pos[1:], atol=1e-3)
     # Its left and right links differ in the file, by a thousandth of mass and inertia.
-    moments = (np.sort(model.body_inertia[1:], axis=1) for model in (ours, theirs))
+    moments = (np.sort(model.body_inertia[1:], axis=1) for model in (body_model, file_model))
     np.testing.assert_allclose(*moments, rtol=0.04, atol=2e-5)
-    np.testing.assert_allclose(ours.jnt_range[1:], theirs.jnt_range[1:], atol=0.01)
-    knees = [i for i in range(ours.ngeom) if not ours.geom(i).name]
+    np.testing.assert_allclose(body_model.jnt_range[1:], file_model.jnt_range[1:], atol=0.01)
+    knees = [i for i in range(body_model.ngeom) if not body_model.geom(i).name]
     assert len(knees) == 4
-    sizes = np.delete(ours.geom_size, knees, axis=0)
-    np.testing.assert_allclose(sizes, theirs.geom_size, atol=1e-4)
+    sizes = np.delete(body_model.geom_size, knees, axis=0)
+    np.testing.assert_allclose(sizes, file_model.geom_size, atol=1e-4)
     np.testing.assert_allclose(body.effort[:3], quadruped.effort[:3], rtol=1e-3)
     np.testing.assert_allclose(body.velocity[:3], quadruped.velocity[:3], rtol=1e-3)
     np.testing.assert_allclose(body.home[[2, 8, 9]], quadruped.home[[2, 8, 9]], atol=0.02)

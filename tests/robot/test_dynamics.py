@@ -122,8 +122,8 @@ def test_a_joint_follows_another_or_is_held_by_one_that_is_fixed():
         angle = data.joint("lead").qpos[0] if model.nu else 0.0
         assert angle >= leader
         assert data.joint("follow").qpos[0] == pytest.approx(0.3 + 2 * angle, abs=1e-3)
-    held = "assumed: held still, for they follow a fixed joint: follow"
-    assert held in conversion.report.to_lines()
+    note = "assumed: held still, for they follow a fixed joint: follow"
+    assert note in conversion.report.to_lines()
 
 
 def test_a_fixed_joint_follows_nothing():

@@ -46,13 +46,13 @@ def measure(quadruped: Quadruped) -> dict[str, np.ndarray]:
     model = quadruped.make_full_model()
     data = robots.make_data(model, quadruped.home)
     joints = [data.joint(name) for name in quadruped.joints]
-    moved = [model.joint(name).bodyid[0] for name in quadruped.joints]
+    bodies = [model.joint(name).bodyid[0] for name in quadruped.joints]
     axes = data.ximat[1].reshape(3, 3)
     return {
         "anchors": np.array([joint.xanchor for joint in joints]),
         "axes": np.array([joint.xaxis for joint in joints]),
         "feet": np.array([data.geom(foot).xpos for foot in quadruped.feet]),
-        "centers of mass": data.xipos[[1, *moved]],
+        "centers of mass": data.xipos[[1, *bodies]],
         "inertia of the trunk": axes * model.body_inertia[1] @ axes.T,
         "home": quadruped.home,
     }
@@ -88,25 +88,25 @@ def test_its_dynamics_are_those_of_the_file_as_it_was(turn):
     check_dynamics(urdf, spec, {"position of FR_foot"})
     # Pinocchio reads the original, whose root stands in the world as it does in the turned one.
     model = spec.compile()
-    theirs = pinocchio.buildModelFromXML(original.text, pinocchio.JointModelFreeFlyer())
-    computed = theirs.createData()
+    oracle = pinocchio.buildModelFromXML(original.text, pinocchio.JointModelFreeFlyer())
+    computed = oracle.createData()
     rng = np.random.default_rng(0)
     data = mujoco.MjData(model)
     data.qpos[3:] = rng.normal(size=16)
     mujoco.mj_normalizeQuat(model, data.qpos)
     mujoco.mj_forward(model, data)
     trunk = Rotation.from_quat(data.qpos[3:7], scalar_first=True)
-    q = pinocchio.neutral(theirs)
+    q = pinocchio.neutral(oracle)
     q[3:7] = (trunk * Rotation.from_euler("xyz", TURNS[turn]).inv()).as_quat()
     joints = [name for leg in legs for name in leg.joints]
-    places = [theirs.joints[theirs.getJointId(name)] for name in joints]
+    places = [oracle.joints[oracle.getJointId(name)] for name in joints]
     q[[place.idx_q for place in places]] = data.qpos[7:]
     rows = [place.idx_v for place in places]
-    weight = pinocchio.computeGeneralizedGravity(theirs, computed, q)
+    weight = pinocchio.computeGeneralizedGravity(oracle, computed, q)
     np.testing.assert_allclose(data.qfrc_bias[6:], weight[rows], atol=1e-9)
     mass = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
-    whole = np.triu(pinocchio.crba(theirs, computed, q))
+    whole = np.triu(pinocchio.crba(oracle, computed, q))
     whole += np.triu(whole, 1).T
     np.testing.assert_allclose(mass[6:, 6:], whole[np.ix_(rows, rows)], atol=1e-9)
 

@@ -241,8 +241,8 @@ def test_patterns_fix_several_joints_and_one_that_names_none_is_refused():
 @pytest.mark.parametrize(("limits", "position"), [((0.5, 3), 0.5), ((-3, -0.2), -0.2)])
 def test_a_joint_whose_limits_leave_out_0_is_fixed_at_the_nearest(kind, limits, position):
     """Compare with MuJoCo, where the joint is there and is at that position."""
-    turned = {"axis": "1 2 -2", "xyz": "0.1 0.2 0.3", "rpy": "0.3 -0.7 2", "kind": kind}
-    moving = joint("j", "a", "b", extra=robots.limit(*limits), **turned)
+    attributes = {"axis": "1 2 -2", "xyz": "0.1 0.2 0.3", "rpy": "0.3 -0.7 2", "kind": kind}
+    moving = joint("j", "a", "b", extra=robots.limit(*limits), **attributes)
     text = robots.robot(link("a", inertial(1)), link("b", inertial(1)), moving)
     model = convert(parse_urdf(text)).spec.compile()
     data = make_data(model, np.array([0, 0, 0, 1, 0, 0, 0, position]))

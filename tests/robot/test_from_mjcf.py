@@ -111,15 +111,15 @@ def dog(tmp_path_factory) -> tuple[Quadruped, Path]:
 
 def test_moves_as_mujoco_compiles_it(dog):
     quadruped, file = dog
-    ours, theirs = quadruped.make_full_model(), mujoco.MjModel.from_xml_path(str(file))
+    our_model, mujoco_model = quadruped.make_full_model(), mujoco.MjModel.from_xml_path(str(file))
     assert compute_error(quadruped, file) < 1e-12
     for name in quadruped.joints:
-        body, original = (m.body(m.joint(name).bodyid[0]) for m in (ours, theirs))
-        welded = theirs.body_weldid == original.id
-        assert body.mass[0] == pytest.approx(theirs.body_mass[welded].sum(), rel=1e-12)
+        body, original = (m.body(m.joint(name).bodyid[0]) for m in (our_model, mujoco_model))
+        welded = mujoco_model.body_weldid == original.id
+        assert body.mass[0] == pytest.approx(mujoco_model.body_mass[welded].sum(), rel=1e-12)
         if welded.sum() == 1:
             assert body.inertia == pytest.approx(np.sort(original.inertia)[::-1], rel=1e-9)
-        dof, other = ours.joint(name), theirs.joint(name)
+        dof, other = our_model.joint(name), mujoco_model.joint(name)
         assert dof.damping == pytest.approx(other.damping)
         assert dof.range == pytest.approx(other.range)
         assert quadruped.friction[quadruped.joints.index(name)] == 0.3
@@ -209,9 +209,9 @@ def test_meshes_are_where_mujoco_puts_them(tmp_path):
 
 
 def test_a_robot_that_faces_sideways_is_turned(tmp_path):
-    turned = replace_once(MJCF, f"{LEGS}\n", f'<frame euler="90 0 0">{LEGS}</frame>\n')
+    text = replace_once(MJCF, f"{LEGS}\n", f'<frame euler="90 0 0">{LEGS}</frame>\n')
     # The trunk's box and legs are turned; names of joints tell front from rear.
-    quadruped = load_quadruped(write_dog(tmp_path, turned))
+    quadruped = load_quadruped(write_dog(tmp_path, text))
     assert quadruped.trunk != "torso"
     model = quadruped.make_full_model()
     data = mujoco.MjData(model)

@@ -83,8 +83,10 @@ def test_what_digits_explain_is_mended_and_reported(moments):
     assert lines
     assert all("a change by" in line for line in lines)
     model = convert(urdf).spec.compile()
-    given = sorted(map(float, moments.split()))
-    np.testing.assert_allclose(sorted(model.body("a").inertia), given, atol=0.02 * given[-1] + 1e-9)
+    values = sorted(map(float, moments.split()))
+    np.testing.assert_allclose(
+        sorted(model.body("a").inertia), values, atol=0.02 * values[-1] + 1e-9
+    )
     assert is_valid(np.diag(model.body("a").inertia))
 
 

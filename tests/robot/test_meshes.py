@@ -89,8 +89,8 @@ def measure(text: str, folder: Path | None, *mesh_folders: Path) -> tuple[list[f
 )
 def test_finds_names_of_every_kind_inside_the_folders(package, name, folder):
     (package / "urdf" / "deep").mkdir()
-    found = find_mesh(name.format(pack=package), [package / folder], "r")
-    assert found == (package / "meshes" / "box.stl").resolve()
+    path = find_mesh(name.format(pack=package), [package / folder], "r")
+    assert path == (package / "meshes" / "box.stl").resolve()
 
 
 def test_a_package_may_have_another_name_than_its_folder(package):
@@ -101,8 +101,8 @@ def test_a_package_may_have_another_name_than_its_folder(package):
             (package / "package.xml").write_text("<package><name>other</name></package>")
         for name in ("package://other/meshes/box.stl", "../../meshes/box.stl"):
             if declared:
-                found = find_mesh(name, [deep], "r")
-                assert found == (package / "meshes" / "box.stl").resolve()
+                path = find_mesh(name, [deep], "r")
+                assert path == (package / "meshes" / "box.stl").resolve()
             else:
                 with pytest.raises(UrdfError):
                     find_mesh(name, [deep], "r")
@@ -116,10 +116,10 @@ def test_the_nearest_package_of_a_name_counts(package):
     inner.mkdir(parents=True)
     (inner.parent / "meshes").mkdir()
     (inner.parent / "meshes" / "box.stl").write_bytes((package / "meshes" / "box.stl").read_bytes())
-    found = find_mesh("package://pack/meshes/box.stl", [inner], "r")
-    assert found == (inner.parent / "meshes" / "box.stl").resolve()
-    found = find_mesh("package://pack/meshes/box.obj", [inner, package], "r")
-    assert found == (package / "meshes" / "box.obj").resolve()
+    path = find_mesh("package://pack/meshes/box.stl", [inner], "r")
+    assert path == (inner.parent / "meshes" / "box.stl").resolve()
+    path = find_mesh("package://pack/meshes/box.obj", [inner, package], "r")
+    assert path == (package / "meshes" / "box.obj").resolve()
 
 
 def test_a_package_xml_that_is_none_declares_nothing(package):

@@ -152,15 +152,15 @@ def check_attributes(text: str, model: mujoco.MjModel) -> None:
     )
     kinds = (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER)
     collides = (model.geom_contype > 0) & np.isin(model.geom_type, kinds)
-    found = Counter(model.geom_size[collides, 0].tolist())
-    assert not Counter(sizes) - found
+    radii = Counter(model.geom_size[collides, 0].tolist())
+    assert not Counter(sizes) - radii
     # A leg whose foot is gone or moved may have been given a sphere; one that is as it was, none.
     parts, original = {ET.tostring(part) for part in root}, ET.fromstring(PHYSICS)
     intact = sum(
         all(ET.tostring(part) in parts for part in original if part.get("name", "").startswith(leg))
         for leg in LEGS
     )
-    assert sum((found - Counter(sizes)).values()) <= 4 - intact
+    assert sum((radii - Counter(sizes)).values()) <= 4 - intact
     boxes = (model.geom_contype > 0) & (model.geom_type == mujoco.mjtGeom.mjGEOM_BOX)
     assert boxes.sum() == len(root.findall("link/collision/geometry/box"))
 

@@ -335,11 +335,11 @@ def test_quaternions_of_urdf_1_1_are_read_as_pinocchio_reads_them(quat):
         before, after = level.join(parts[:place]), level.join(parts[place:])
         text = f'{before} quat_xyzw="{quat}"{after}'
         urdf = parse_urdf(text)
-        theirs = pinocchio.buildModelFromXML(text)
-        ours = pinocchio.buildModelFromXML(urdf.text)
+        pinocchio_model = pinocchio.buildModelFromXML(text)
+        our_model = pinocchio.buildModelFromXML(urdf.text)
         assert "quat" not in urdf.text
-        assert theirs.jointPlacements[1].isApprox(ours.jointPlacements[1], 1e-9)
-        assert theirs.inertias[1].isApprox(ours.inertias[1], 1e-9)
+        assert pinocchio_model.jointPlacements[1].isApprox(our_model.jointPlacements[1], 1e-9)
+        assert pinocchio_model.inertias[1].isApprox(our_model.inertias[1], 1e-9)
         check_dynamics(urdf, convert(urdf).spec, states=3)
 
 
@@ -365,8 +365,8 @@ def test_a_limit_that_is_left_out_is_0_as_in_pinocchio(limit, kind):
     text = replace_once(ARM, 'lower="-3" upper="3"', limit).replace("revolute", kind)
     urdf = parse_urdf(text)
     model = convert(urdf).spec.compile()
-    theirs = pinocchio.buildModelFromXML(text)
-    expected = [theirs.lowerPositionLimit[0], theirs.upperPositionLimit[0]]
+    pinocchio_model = pinocchio.buildModelFromXML(text)
+    expected = [pinocchio_model.lowerPositionLimit[0], pinocchio_model.upperPositionLimit[0]]
     if expected == [0, 0]:  # what exporters write where none is set
         assert not model.joint("j").limited
     else:
@@ -413,19 +413,19 @@ def test_capsules_are_mujocos_own():
     """Compare with MuJoCo's own reader of URDF, which is the independent one."""
     capsule = shape('capsule radius="0.1" length="1"', "1 2 3", rpy="0.3 0.2 1")
     text = robot(link("a", inertial(1), capsule))
-    theirs = mujoco.MjModel.from_xml_string(text)
+    mujoco_model = mujoco.MjModel.from_xml_string(text)
     model = convert(parse_urdf(text)).spec.compile()
-    ours = model.geom("a").id
-    assert model.geom_type[ours] == theirs.geom_type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE
+    geom = model.geom("a").id
+    assert model.geom_type[geom] == mujoco_model.geom_type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE
     for name in ("geom_size", "geom_pos", "geom_quat"):
         np.testing.assert_allclose(
-            getattr(model, name)[ours], getattr(theirs, name)[0], atol=1e-12, err_msg=name
+            getattr(model, name)[geom], getattr(mujoco_model, name)[0], atol=1e-12, err_msg=name
         )
     # It stands on the lowest point of its surface: a center's height less the radius.
     data = make_data(model, model.key("home").qpos)
     ends = data.geom("a").xpos[2] + 0.5 * data.geom("a").xmat[8] * np.array([-1, 1])
-    assert find_lowest_point(model, data, ours) == pytest.approx(ends.min() - 0.1)
-    assert find_lowest_point(model, data, ours) == pytest.approx(0, abs=1e-9)
+    assert find_lowest_point(model, data, geom) == pytest.approx(ends.min() - 0.1)
+    assert find_lowest_point(model, data, geom) == pytest.approx(0, abs=1e-9)
 
 
 def test_a_base_without_mass_cannot_float():

@@ -33,6 +33,8 @@ def repeat_for(files: list[Path], *names: str) -> pytest.MarkDecorator:
 
     With `names` only those count whose path has one in it.
     """
-    chosen = [file for file in files if not names or any(name in str(file) for name in names)]
-    assert len(chosen) >= len(names)
-    return pytest.mark.parametrize("urdf", chosen, ids=[str(f.relative_to(FOLDER)) for f in chosen])
+    selection = [file for file in files if not names or any(name in str(file) for name in names)]
+    assert len(selection) >= len(names)
+    return pytest.mark.parametrize(
+        "urdf", selection, ids=[str(f.relative_to(FOLDER)) for f in selection]
+    )

@@ -121,17 +121,17 @@ FOREIGN = (
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         *((content, "is damaged or foreign: expected a policy") for content in FOREIGN),
         (make_zip(make_header(version=2)), "has format version 2: expected 1"),
         (make_zip(make_header(metadata={"kind": "nan"})), "is a nan: expected a policy"),
     ],
 )
-def test_a_file_that_is_no_policy_is_refused(tmp_path, content, said):
+def test_a_file_that_is_no_policy_is_refused(tmp_path, content, message):
     path = tmp_path / "foreign.npz"
     path.write_bytes(content)
-    with pytest.raises(UserError, match=rf"foreign\.npz {said}"):
+    with pytest.raises(UserError, match=rf"foreign\.npz {message}"):
         checkpoint.load(path, "policy")
 
 

@@ -47,11 +47,11 @@ def test_of_runs_made_at_once_with_one_name_one_is(tmp_path):
 
     with ThreadPoolExecutor(8) as pool:
         results = list(pool.map(make, range(8)))
-    (made,) = (number for number, result in enumerate(results) if isinstance(result, Run))
-    del results[made]
+    (winner,) = (number for number, result in enumerate(results) if isinstance(result, Run))
+    del results[winner]
     assert all(f"run 'a' exists in {tmp_path}: choose another name" == text for text in results)
     assert os.listdir(tmp_path) == ["a"]
-    assert Run(tmp_path / "a").config.read_bytes() == b"%d" % made
+    assert Run(tmp_path / "a").config.read_bytes() == b"%d" % winner
 
 
 def test_a_folder_of_runs_is_no_run_and_links_lead_nowhere(tmp_path):

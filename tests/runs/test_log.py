@@ -118,9 +118,9 @@ def test_no_room_keeps_every_whole_row(run, monkeypatch):
         nonlocal room
         if room == 0:
             raise OSError(errno.ENOSPC, "No space left on device")
-        written = write_bytes(descriptor, data[:room])
-        room -= written
-        return written
+        length = write_bytes(descriptor, data[:room])
+        room -= length
+        return length
 
     with MetricsLog(run) as log:
         monkeypatch.setattr(os, "write", write_to_nearly_full)

@@ -43,7 +43,7 @@ def places(data: Any, *path: Any) -> Iterator[tuple[Any, ...]]:
 
 @pytest.mark.parametrize("odd", ODD, ids=lambda odd: repr(odd)[:9])
 def test_any_value_in_any_place_fits_or_is_one_line_that_names_the_place(odd):
-    def said(data: Any) -> str | None:
+    def find_problem(data: Any) -> str | None:
         try:
             config = from_dict(TrainConfig, data, Path())
         except UserError as error:
@@ -53,18 +53,18 @@ def test_any_value_in_any_place_fits_or_is_one_line_that_names_the_place(odd):
     data = to_dict(load_task("rough"))
     for *path, last in places(data):
         group = functools.reduce(operator.getitem, path, data)
-        kept, group[last] = group[last], odd
-        line = said(data)
-        named = [key for key in (*path, last) if key not in ("params", "scale", *range(99))][-1]
+        old_value, group[last] = group[last], odd
+        line = find_problem(data)
+        setting = [key for key in (*path, last) if key not in ("params", "scale", *range(99))][-1]
         if line is not None:
-            assert re.fullmatch(rf"config.*\b{named.replace('_', '[-_]')}\b.{{9,250}}", line)
-        group[last] = kept
+            assert re.fullmatch(rf"config.*\b{setting.replace('_', '[-_]')}\b.{{9,250}}", line)
+        group[last] = old_value
 
 
 def test_what_belongs_together_is_changed_together():
     rates = {"ppo.min_learning_rate": 0.1, "ppo.max_learning_rate": 0.2}
-    found = change_settings(sprint.TASK, rates).ppo
-    assert (found.min_learning_rate, found.max_learning_rate) == (0.1, 0.2)
+    ppo = change_settings(sprint.TASK, rates).ppo
+    assert (ppo.min_learning_rate, ppo.max_learning_rate) == (0.1, 0.2)
     with pytest.raises(UsageError, match=r"ppo\.min-learning-rate is 0\.1; expected at most"):
         change_settings(sprint.TASK, {"ppo.min_learning_rate": 0.1})
 
@@ -81,22 +81,22 @@ def test_every_setting_can_be_changed_by_the_name_that_it_has(name):
 @given(scale=st.floats(-10, 10), speed=st.integers(1, 9))
 def test_a_scale_and_a_parameter_of_a_term_are_changed_and_nothing_else(scale, speed):
     changes = {"env.reward.energy": scale, "env.reward.forward.max_speed": speed}
-    found = change_settings(sprint.TASK, changes)
-    assert found.env.reward["energy"].scale == scale
-    assert found.env.reward["forward"].params == {"max_speed": float(speed)}
-    before, after = flatten(sprint.TASK), flatten(found)
+    config = change_settings(sprint.TASK, changes)
+    assert config.env.reward["energy"].scale == scale
+    assert config.env.reward["forward"].params == {"max_speed": float(speed)}
+    before, after = flatten(sprint.TASK), flatten(config)
     assert {name for name in before if before[name] != after[name]} <= set(changes)
     assert list(after) == list(before)  # and in the same order, in which rewards are summed
 
 
 def test_a_term_can_be_put_in_place_of_another_or_added():
     term = Reward(reward.alive, scale=3.0)
-    found = change_settings(sprint.TASK, {"env.reward.fall": term, "env.reward.mine": term})
-    assert found.env.reward["fall"] is found.env.reward["mine"] is term
+    config = change_settings(sprint.TASK, {"env.reward.fall": term, "env.reward.mine": term})
+    assert config.env.reward["fall"] is config.env.reward["mine"] is term
 
 
 @pytest.mark.parametrize(
-    ("changes", "named"),
+    ("changes", "message"),
     [
         ({"env.reward.enrgy": 1.0}, "did you mean 'energy'"),
         ({"env.rewards.energy": 1.0}, "did you mean 'reward'"),
@@ -110,13 +110,13 @@ def test_a_term_can_be_put_in_place_of_another_or_added():
         ({"env.physics_dt": 1.0}, "env.physics-dt"),
     ],
 )
-def test_a_change_that_cannot_be_is_said_in_one_line(changes, named):
-    with pytest.raises(UserError, match=named):
+def test_a_change_that_cannot_be_is_said_in_one_line(changes, message):
+    with pytest.raises(UserError, match=message):
         change_settings(sprint.TASK, changes)
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("change", "message"),
     [
         (lambda data: data.pop("ppo"), "ppo"),
         (lambda data: data.update(new=1), "config.new is not a setting of this version"),
@@ -125,10 +125,10 @@ def test_a_change_that_cannot_be_is_said_in_one_line(changes, named):
         (lambda data: data["env"]["reward"]["energy"].update(function="os:system"), "os:system"),
     ],
 )
-def test_json_that_does_not_fit_is_named(change, named):
+def test_json_that_does_not_fit_is_named(change, message):
     data = to_dict(sprint.TASK)
     change(data)
-    with pytest.raises(UserError, match=named):
+    with pytest.raises(UserError, match=message):
         from_dict(TrainConfig, data, Path())
 
 

@@ -16,8 +16,8 @@ def test_a_result_takes_the_place_of_its_own_and_leaves_the_others(tmp_path):
     again = Results(path, ["a", "b"])
     again.add({"variant": "a", "seed": 0, "speed": 3.0})
     again.add({"variant": "b", "seed": 0, "speed": 4.0})
-    found = [(r["variant"], r["seed"], r["speed"]) for r in json.loads(path.read_text())]
-    assert found == [("a", 0, 3.0), ("a", 1, 2.0), ("b", 0, 4.0)]
+    results = [(r["variant"], r["seed"], r["speed"]) for r in json.loads(path.read_text())]
+    assert results == [("a", 0, 3.0), ("a", 1, 2.0), ("b", 0, 4.0)]
 
 
 @pytest.mark.parametrize("text", ["[1, 2", '{"a": 1}', '[{"variant": "c", "seed": 0}]', "[{}]"])

@@ -15,41 +15,41 @@ from studies.gecko.gait import compute_figures, find_body_contact, find_footfall
 from studies.gecko.study import CAUSES, OTHER, RESULTS, make_variants
 
 
-def changed(found, own) -> set[str]:
+def list_changes(variant, base) -> set[str]:
     """Return the names of settings that differ between two flat configurations.
 
     Names that only one of them has are among these.
     """
-    return {name for name in {**found, **own} if found.get(name) != own.get(name)}
+    return {name for name in {**variant, **base} if variant.get(name) != base.get(name)}
 
 
 @pytest.mark.parametrize("task", ["blog", "sprint"])
 def test_each_variant_takes_one_thing_from_the_other_task(task):
-    own, other = (flatten(load_task(name)) for name in (task, OTHER[task]))
-    taken = set()
+    base, other = (flatten(load_task(name)) for name in (task, OTHER[task]))
+    earlier_names = set()
     for cause, settings in CAUSES.items():
-        found = flatten(make_variants()[f"{task}, {cause}"])
-        names = changed(found, own)
+        variant = flatten(make_variants()[f"{task}, {cause}"])
+        names = list_changes(variant, base)
         assert names
-        assert not names & changed(found, other)
+        assert not names & list_changes(variant, other)
         assert all(any(f"{name}.".startswith(f"{s}.") for s in settings) for name in names)
-        assert not names & taken  # no two causes share a setting
-        taken |= names
-    assert changed(flatten(make_variants()[f"{task}, all of them"]), own) == taken
+        assert not names & earlier_names  # no two causes share a setting
+        earlier_names |= names
+    assert list_changes(flatten(make_variants()[f"{task}, all of them"]), base) == earlier_names
 
 
 def test_action_0_alone_is_moved_to_the_standing_pose(quadruped):
-    own, found = load_task("blog"), make_variants()["blog, action 0"]
+    base, variant = load_task("blog"), make_variants()["blog, action 0"]
     bounds = [f"env.action.{part}_{end}" for part in ("thigh", "calf") for end in ("low", "high")]
-    assert changed(flatten(found), flatten(own)) == set(bounds)
+    assert list_changes(flatten(variant), flatten(base)) == set(bounds)
     # A joint is where action 0 puts it, so that the limit of a step does not matter.
-    standing = found.env.action(None, np.zeros(12), quadruped.home[7:])
+    standing = variant.env.action(None, np.zeros(12), quadruped.home[7:])
     np.testing.assert_allclose(standing, quadruped.home[7:], atol=1e-6)
 
     def reach(config):
         return config.env.action.params["thigh_high"] - config.env.action.params["thigh_low"]
 
-    assert reach(found) == pytest.approx(reach(own))
+    assert reach(variant) == pytest.approx(reach(base))
 
 
 def still(quadruped, qpos, contact) -> Rollout:
@@ -107,6 +107,6 @@ def test_frames_and_footfalls_are_those_of_the_rollout(quadruped):
 
 def test_the_results_are_of_the_variants_there_are():
     results = json.loads(RESULTS.read_text())
-    named = {(result["variant"], result["seed"]) for result in results}
-    assert len(named) == len(results)
-    assert {variant for variant, _ in named} == set(make_variants())
+    keys = {(result["variant"], result["seed"]) for result in results}
+    assert len(keys) == len(results)
+    assert {variant for variant, _ in keys} == set(make_variants())

@@ -43,7 +43,7 @@ def standing(quadruped, tmp_path_factory) -> LoadedRun:
         drive.TASK.env, randomization=NO_RANDOMIZATION, command=command, reset=still
     )
     env = QuadrupedEnv(quadruped, config)
-    act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
+    act = jax.tree_util.Partial(lambda obs: 0.0 * obs[..., :12])
     policy = Policy(act, drive.TASK, quadruped.joints, env.policy_size, 0)
     folder = tmp_path_factory.mktemp("run")
     return to_held_run(LoadedRun(Run(folder), folder, policy, env, "0"))
@@ -70,32 +70,32 @@ def test_each_command_is_held_from_the_same_starts(standing):
 def test_a_robot_that_stands_is_as_far_off_as_its_command_says(standing, capsys, monkeypatch):
     monkeypatch.setattr(steering, "FORWARD", 5)
     monkeypatch.setattr(steering, "TURNS", 3)
-    found = measure_commands(standing, 1, 0)
-    assert len(found["cells"]) > 8
-    for cell in found["cells"]:
+    results = measure_commands(standing, 1, 0)
+    assert len(results["cells"]) > 8
+    for cell in results["cells"]:
         forward, _, turn = cell["command"]
         assert cell["success"] == 1.0
         assert cell["velocity_error"]["mean"] == pytest.approx(abs(forward), abs=0.01)
         assert cell["yaw_rate_error"]["mean"] == pytest.approx(abs(turn), abs=0.01)
-    to_speed, to_stand, to_right = found["responses"]
-    assert [each["part"] for each in found["responses"]] == ["forward", "forward", "yaw_rate"]
+    to_speed, to_stand, to_right = results["responses"]
+    assert [each["part"] for each in results["responses"]] == ["forward", "forward", "yaw_rate"]
     assert to_speed["time"] is None
     assert to_stand["time"] == pytest.approx(0.25)  # the middle of the first half second
     assert to_right["time"] is None
     assert make_changes(drive.TASK.env.command)[0][1] == (pytest.approx(4.05), 0.0, 0.0)
     rows = gaits.measure_gaits(standing, 0)
     assert max(abs(each["speed"]) for each in rows) < 0.05
-    still, held = found["standing"], found["standing_without_creep"]
-    assert 0.0 < held["most"] < still["most"] == still["moved"]["mean"] < 0.03
+    still, without_creep = results["standing"], results["standing_without_creep"]
+    assert 0.0 < without_creep["most"] < still["most"] == still["moved"]["mean"] < 0.03
     monkeypatch.setenv("COLUMNS", "120")
     changing = {"seconds": 20.0, "episodes": 4, "success": 0.75, "success_ci95": [0.3, 0.95]}
-    print_commands(found | {"changing": changing})
-    printed = capsys.readouterr().out
-    assert "4.5 m/s, 0 rad/s" in printed
-    assert f"by {1e3 * still['most']:.1f} mm at most" in printed
-    assert f"by {1e3 * held['most']:.1f} mm at most" in printed
-    assert "75.0 % (30.0 to 95.0) of 4 episodes of 20 s end without a fall" in printed
-    assert len(draw_commands(found, rows, "standing").axes) == 9 + 2
+    print_commands(results | {"changing": changing})
+    output = capsys.readouterr().out
+    assert "4.5 m/s, 0 rad/s" in output
+    assert f"by {1e3 * still['most']:.1f} mm at most" in output
+    assert f"by {1e3 * without_creep['most']:.1f} mm at most" in output
+    assert "75.0 % (30.0 to 95.0) of 4 episodes of 20 s end without a fall" in output
+    assert len(draw_commands(results, rows, "standing").axes) == 9 + 2
 
 
 def test_a_command_is_held_for_as_long_as_it_is_measured(standing, monkeypatch):
@@ -105,7 +105,7 @@ def test_a_command_is_held_for_as_long_as_it_is_measured(standing, monkeypatch):
     short = dataclasses.replace(config.command, seconds=0.06)
     loaded = to_held_run(standing.to_mujoco(command=short))
     starts = reset_with_commands(loaded.env, [(1.0, 0.2, 0.5)], 1, 0)
-    ((_, _, commands),) = roll_out(loaded.env, loaded.policy.act, starts, told)
+    ((_, _, commands),) = roll_out(loaded.env, loaded.policy.act, starts, read_command)
     np.testing.assert_allclose(commands, np.tile([1.0, 0.2, 0.5], (10, 1)), rtol=1e-6)
 
 
@@ -123,19 +123,19 @@ def test_a_robot_that_moves_as_it_is_told_at_once_has_followed_at_once(standing,
         return before.obs[:, np.array(at)]
 
     monkeypatch.setattr(steering, "roll_out_paths", glide)
-    found = measure_response(standing, (0.5, 0.0, 0.0), (2.0, 0.0, 0.0), 1, 0)
-    np.testing.assert_allclose(found["curve"], 2.0, atol=1e-4)
+    response = measure_response(standing, (0.5, 0.0, 0.0), (2.0, 0.0, 0.0), 1, 0)
+    np.testing.assert_allclose(response["curve"], 2.0, atol=1e-4)
 
 
 def test_soles_of_randomized_robots_hold_too(standing):
     """Check robots that draw no more than a friction: their models are made one by one."""
     friction = standing.env.friction
     ranges = dataclasses.replace(NO_RANDOMIZATION, enabled=True, friction=(friction, friction))
-    drawn = standing.to_mujoco(randomization=ranges, episode_seconds=3.0)
+    random_run = standing.to_mujoco(randomization=ranges, episode_seconds=3.0)
     usual = standing.to_mujoco(episode_seconds=3.0)
     creeping, held, alike = (
         measure_still(each, 1, 0)["most"]
-        for each in (drawn, remove_creep(drawn), remove_creep(usual))
+        for each in (random_run, remove_creep(random_run), remove_creep(usual))
     )
     assert held == pytest.approx(alike, rel=0.05)
     assert 0.0 < held < 0.75 * creeping
@@ -148,9 +148,9 @@ def test_a_trunk_moves_as_far_as_it_gets_once_it_has_settled(standing, monkeypat
     fallen = np.zeros((50, 7))
     paths = [(0, True, away), (1, True, away / 5.0), (2, False, fallen)]
     monkeypatch.setattr(steering, "roll_out_paths", lambda *_: iter(paths))
-    found = measure_still(standing, 3, 0)
-    assert found["most"] == pytest.approx(0.5)
-    assert found["moved"]["mean"] == pytest.approx(0.3)
+    figures = measure_still(standing, 3, 0)
+    assert figures["most"] == pytest.approx(0.5)
+    assert figures["moved"]["mean"] == pytest.approx(0.3)
     monkeypatch.setattr(steering, "roll_out_paths", lambda *_: iter(paths[2:]))
     assert measure_still(standing, 1, 0) == {"moved": None, "most": None}
 
@@ -164,41 +164,44 @@ def test_robots_are_judged_with_changing_commands_and_all_that_is_drawn(standing
     )
     expected = dataclasses.replace(drive.TASK.env.command, leg=None, margin=0.0)
     assert long.env.config.command == expected
-    seen = []
+    successes = []
     for _, end, commands in roll_out(
-        long.env, long.policy.act, reset_episodes(long.env, 2, 0), told
+        long.env, long.policy.act, reset_episodes(long.env, 2, 0), read_command
     ):
         assert len(np.unique(commands, axis=0)) >= 2
-        seen.append(end == "time limit")
-    found = measure_changing(long, 2, 0)
-    assert found["success"] == np.mean(seen)
-    assert found["seconds"] == 6.0
+        successes.append(end == "time limit")
+    figures = measure_changing(long, 2, 0)
+    assert figures["success"] == np.mean(successes)
+    assert figures["seconds"] == 6.0
 
 
-def told(env, before, action, after):
+def read_command(env, before, action, after):
     return before.pipeline_state.command.velocity
 
 
 def test_every_command_of_a_held_configuration_is_the_same():
     """Draw 2000 commands; `drive` itself commands to stand and to turn on the spot, too."""
     config = drive.TASK.env.command.hold_at(0.7)
-    drawn = jax.vmap(lambda key: sample_velocity(config, key))(
+    velocities = jax.vmap(lambda key: sample_velocity(config, key))(
         jax.random.split(jax.random.PRNGKey(0), 2000)
     )
-    np.testing.assert_allclose(drawn, np.tile([0.7, 0.0, 0.0], (2000, 1)), atol=1e-6)
+    np.testing.assert_allclose(velocities, np.tile([0.7, 0.0, 0.0], (2000, 1)), atol=1e-6)
 
 
 @pytest.mark.parametrize("leg", [0.125, 0.5])
 def test_command_ranges_have_the_same_froude_number_for_all_robots(leg):
     command = drive.TASK.env.command
-    own = command.scale_to(leg, 100.0)
+    scaled_command = command.scale_to(leg, 100.0)
     for name in ("forward", "lateral"):
-        asked, had = np.array(getattr(own, name)), np.array(getattr(command, name))
-        np.testing.assert_allclose(asked**2 / leg, had**2 / 0.5, rtol=2e-3)
-    turn = own.forward[1] * own.yaw_rate[1]  # m/s^2
+        scaled_range, full_range = (
+            np.array(getattr(scaled_command, name)),
+            np.array(getattr(command, name)),
+        )
+        np.testing.assert_allclose(scaled_range**2 / leg, full_range**2 / 0.5, rtol=2e-3)
+    turn = scaled_command.forward[1] * scaled_command.yaw_rate[1]  # m/s^2
     assert turn == pytest.approx(command.forward[1] * command.yaw_rate[1], rel=1e-3)
-    assert own.turning == command.turning
-    assert own.scale_to(1.0, 1.0) == own  # once
+    assert scaled_command.turning == command.turning
+    assert scaled_command.scale_to(1.0, 1.0) == scaled_command  # once
 
 
 def test_no_command_is_faster_than_the_motors_swing_a_foot(quadruped):
@@ -209,8 +212,8 @@ def test_no_command_is_faster_than_the_motors_swing_a_foot(quadruped):
     assert slow.yaw_rate == command.yaw_rate
     # 20 rad/s about a hip that is 0.37 m up: the commands are those of the task.
     assert 7.4 < quadruped.foot_speed < 7.6
-    own = QuadrupedEnv(quadruped, drive.TASK.env).config.command
-    assert own.forward == pytest.approx(command.forward, rel=0.01)
+    env_command = QuadrupedEnv(quadruped, drive.TASK.env).config.command
+    assert env_command.forward == pytest.approx(command.forward, rel=0.01)
 
 
 @pytest.mark.parametrize("forward", [(0.0, 0.0), (-1.0, 0.0), (-2.0, -1.0)])

@@ -112,10 +112,10 @@ def test_a_step_tells_who_stands_as_the_evaluation_does(rising):
 
 
 def test_the_policy_sees_what_a_real_robot_measures(rising):
-    seen = {name.partition("[")[0] for name in rising.sensors.names}
+    names = {name.partition("[")[0] for name in rising.sensors.names}
     kinds = ("angular_velocity", "gravity", "joint_pos", "joint_vel", "last_action")
-    assert all(name.startswith(kinds) for name in seen)
-    assert len(seen) == 3 + 3 + 3 * 12
+    assert all(name.startswith(kinds) for name in names)
+    assert len(names) == 3 + 3 + 3 * 12
 
 
 def test_it_stands_where_it_is_high_and_upright_at_the_time(rising):
@@ -135,14 +135,14 @@ def test_a_policy_is_judged_in_mujoco_under_every_condition(
 ):
     config = dataclasses.replace(getup.TASK.env, episode_seconds=0.1)
     env = QuadrupedEnv(quadruped, config, "mujoco")
-    act = jax.tree_util.Partial(lambda seen: 0.0 * seen[..., :12])
+    act = jax.tree_util.Partial(lambda obs: 0.0 * obs[..., :12])
     policy = Policy(act, getup.TASK, quadruped.joints, env.policy_size, 0)
-    found = measure_standing(LoadedRun(Run(tmp_path), tmp_path, policy, env, "0"), 2, 0)
+    results = measure_standing(LoadedRun(Run(tmp_path), tmp_path, policy, env, "0"), 2, 0)
     names = list(make_standing_points(env))
     assert names[3] == "+5.1 kg"
-    assert [each["name"] for each in found["conditions"]] == names
-    assert {each["standing_6s"] for each in found["conditions"]} == {0.0}  # it ended long before
+    assert [each["name"] for each in results["conditions"]] == names
+    assert {each["standing_6s"] for each in results["conditions"]} == {0.0}  # it ended long before
     monkeypatch.setenv("COLUMNS", "120")
-    print_standing(found)
-    said = capsys.readouterr().out
-    assert all(name in said for name in names)
+    print_standing(results)
+    output = capsys.readouterr().out
+    assert all(name in output for name in names)

@@ -21,8 +21,8 @@ def test_heights_are_those_that_mujocos_rays_meet(quadruped, seed):
     model = lay_field(quadruped, field)
     length, width = field.size
     points = rng.uniform(-0.499, 0.499, (200, 2)) * [length, width]
-    found = measure_heights(model, points)
-    np.testing.assert_allclose(field.compute_height(points), found, atol=1e-5)
+    ray_heights = measure_heights(model, points)
+    np.testing.assert_allclose(field.compute_height(points), ray_heights, atol=1e-5)
 
 
 @pytest.mark.parametrize("low", [-0.3, 0.0, 0.2])
@@ -30,20 +30,20 @@ def test_a_model_has_the_fields_numbers_and_the_planes_friction(quadruped, low):
     heights = np.random.default_rng(0).uniform(low, low + 0.5, (20, 30))
     field = make_field(heights, 0.05)
     model = lay_field(quadruped, field)
-    found = read_field(model)
-    np.testing.assert_allclose(found.heights, heights, atol=1e-6)
-    assert found.cell == pytest.approx(0.05)
-    assert found.origin == pytest.approx(field.origin)
+    model_field = read_field(model)
+    np.testing.assert_allclose(model_field.heights, heights, atol=1e-6)
+    assert model_field.cell == pytest.approx(0.05)
+    assert model_field.origin == pytest.approx(field.origin)
     plane = quadruped.make_full_model()
     assert read_field(plane) is None
     for name in ("friction", "solref", "solimp", "contype", "conaffinity"):
-        ours, theirs = (getattr(m.geom("floor"), name) for m in (model, plane))
-        np.testing.assert_array_equal(ours, theirs)
+        field_value, plane_value = (getattr(m.geom("floor"), name) for m in (model, plane))
+        np.testing.assert_array_equal(field_value, plane_value)
 
 
 def test_level_ground_is_a_field_too(quadruped):
-    found = read_field(lay_field(quadruped, make_field(np.full((5, 5), 0.3), 0.05)))
-    np.testing.assert_allclose(found.heights, 0.3, atol=1e-6)
+    field = read_field(lay_field(quadruped, make_field(np.full((5, 5), 0.3), 0.05)))
+    np.testing.assert_allclose(field.heights, 0.3, atol=1e-6)
 
 
 def test_beyond_an_edge_the_ground_goes_on_level():

@@ -75,9 +75,9 @@ def test_sizes_grow_with_the_leg_unless_given(quadruped):
     assert make_sizes(FLAT, 1.0) == OF_LEG
     assert make_sizes(FLAT, 0.2).step == pytest.approx(0.06)
     given_sizes = dataclasses.replace(FLAT, step=0.1, tread=0.4, block=0.2, roughness=0.03)
-    found = make_sizes(given_sizes, 0.2)
-    assert (found.step, found.tread, found.block, found.roughness) == (0.1, 0.4, 0.2, 0.03)
-    assert found.slope == OF_LEG.slope
+    sizes = make_sizes(given_sizes, 0.2)
+    assert (sizes.step, sizes.tread, sizes.block, sizes.roughness) == (0.1, 0.4, 0.2, 0.03)
+    assert sizes.slope == OF_LEG.slope
 
 
 def test_the_same_seed_makes_the_same_ground_and_another_another():
@@ -111,17 +111,17 @@ def test_tiles_lie_where_the_terrain_says():
 def test_a_field_is_read_from_a_file(tmp_path):
     heights = np.random.default_rng(0).uniform(-1, 1, (30, 40))
     np.save(tmp_path / "field.npy", heights)
-    found = make_terrain(dataclasses.replace(FLAT, file=tmp_path / "field.npy"), LEG)
-    np.testing.assert_allclose(found.field.heights, heights, atol=1e-7)
-    assert found.field.size == pytest.approx((39 * CELL, 29 * CELL))
-    assert found.find_tile("file", 0).start == (0.0, 0.0)
+    terrain = make_terrain(dataclasses.replace(FLAT, file=tmp_path / "field.npy"), LEG)
+    np.testing.assert_allclose(terrain.field.heights, heights, atol=1e-7)
+    assert terrain.field.size == pytest.approx((39 * CELL, 29 * CELL))
+    assert terrain.find_tile("file", 0).start == (0.0, 0.0)
     for bits, kind in ((8, np.uint8), (16, np.uint16)):
         white = 2**bits - 1
         pixels = np.random.default_rng(1).integers(0, white, (20, 25)).astype(kind)
         Image.fromarray(pixels).save(tmp_path / "field.png")
         config = dataclasses.replace(FLAT, file=tmp_path / "field.png", white=0.3)
-        found = make_terrain(config, LEG)
-        np.testing.assert_allclose(found.field.heights[::-1], 0.3 * pixels / white, atol=1e-6)
+        terrain = make_terrain(config, LEG)
+        np.testing.assert_allclose(terrain.field.heights[::-1], 0.3 * pixels / white, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -196,13 +196,13 @@ def test_the_command_draws_every_kind_with_the_robot_on_it(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("flags", "said"),
+    ("flags", "message"),
     [
         ("--levels 0", r"^--levels is 0; expected 1 to"),
         ("--levels many", r"^bad value for --levels; expected INT"),
         ("--kinds sea", r"^--kinds: no terrain 'sea'; expected some of: "),
     ],
 )
-def test_the_command_names_the_flag_that_was_given(tmp_path, flags, said):
-    with pytest.raises(UsageError, match=said):
+def test_the_command_names_the_flag_that_was_given(tmp_path, flags, message):
+    with pytest.raises(UsageError, match=message):
         main(["-o", str(tmp_path / "a.png"), *flags.split()])

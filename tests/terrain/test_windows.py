@@ -78,7 +78,7 @@ def test_robots_step_as_on_the_whole_field(quadruped, stepper):
     torque = rng.uniform(-10, 10, (count, 12))
     models, origins = stepper.find_models(rows, states[:, 1:3])
     shift = np.pad(origins, [(0, 0), (1, 35)])
-    found = (stepper.step(states - shift, torque, models) + shift)[:, 1:]
+    states_after = (stepper.step(states - shift, torque, models) + shift)[:, 1:]
     expected, touching = np.zeros((count, 37)), np.zeros(count)
     for k in range(count):
         model = randomize_model(stepper.model, RobotRandomization(*(x[k] for x in rows)))
@@ -86,11 +86,11 @@ def test_robots_step_as_on_the_whole_field(quadruped, stepper):
         data.qpos, data.qvel, data.qfrc_applied[6:] = states[k, 1:20], states[k, 20:], torque[k]
         mujoco.mj_step(model, data)
         expected[k], touching[k] = [*data.qpos, *data.qvel], data.ncon
-    same = np.abs(found - expected).max(axis=1) < 1e-9
+    same = np.abs(states_after - expected).max(axis=1) < 1e-9
     assert same[touching > 0].mean() > 0.4  # none, were they elsewhere
     assert (touching > 0).mean() > 0.3
     assert np.all(same[touching == 0])
-    np.testing.assert_allclose(found[:, :19], expected[:, :19], atol=0.05)
+    np.testing.assert_allclose(states_after[:, :19], expected[:, :19], atol=0.05)
 
 
 def test_a_model_is_kept_while_its_robot_is_there(stepper):
@@ -98,9 +98,9 @@ def test_a_model_is_kept_while_its_robot_is_there(stepper):
     first, _ = stepper.find_models(rows, places)
     again, _ = stepper.find_models(rows, places + 0.01)
     assert all(a is b for a, b in zip(first, again, strict=True))
-    moved, _ = stepper.find_models(rows, places + np.array([2.0, 0.0]))
-    assert not any(a is b for a in first for b in moved)
-    for a, b in zip(first, moved, strict=True):
+    distant_models, _ = stepper.find_models(rows, places + np.array([2.0, 0.0]))
+    assert not any(a is b for a in first for b in distant_models)
+    for a, b in zip(first, distant_models, strict=True):
         np.testing.assert_array_equal(a.body_mass, b.body_mass)
         assert np.any(a.hfield_data != b.hfield_data)
     alone, _ = stepper.find_models(RobotRandomization(*(x[:1] for x in rows)), places[:1])

@@ -109,8 +109,8 @@ def test_the_picture_moves_with_the_robot_and_stays_while_it_is_paused(browser):
     browser.press("KeyP")
     before = browser.evaluate("quadwalk.simulation.data.qpos[1]")
     browser.press("KeyK")
-    moved = f"Math.abs(quadwalk.simulation.data.qpos[1] - {before}) > 0.05"
-    assert wait_until(lambda: browser.evaluate(moved))
+    condition = f"Math.abs(quadwalk.simulation.data.qpos[1] - {before}) > 0.05"
+    assert wait_until(lambda: browser.evaluate(condition))
     assert wait_until(lambda: np.abs(take_picture(browser) - still).mean() > 1.0)
 
 

@@ -116,8 +116,8 @@ def move_slider(browser: Browser, position: float) -> None:
 def test_a_slider_changes_the_training_and_undo_takes_it_back(browser, training):
     heard = training[0].heard
     move_slider(browser, -0.53)
-    wanted = {"type": "set", "name": ENERGY, "value": -0.1}
-    assert wait_until(lambda: wanted in heard)
+    message = {"type": "set", "name": ENERGY, "value": -0.1}
+    assert wait_until(lambda: message in heard)
     assert wait_until(lambda: "energy.scale -0.2 to -0.1" in browser.text())
     assert browser.evaluate(f"{FIELD}.value") == "-0.1"
     browser.evaluate("document.getElementById('desk-undo').click()")
@@ -145,8 +145,10 @@ def test_a_lost_connection_comes_back(browser, training):
     browser.evaluate("quadwalk.server.socket.close()")
     assert wait_until(lambda: browser.evaluate("quadwalk.server.socket.readyState === 1"))
     iteration = training[0].iteration
-    shown = "Number(document.getElementById('desk-state').innerText.match(/iteration (\\d+)/)[1])"
-    assert wait_until(lambda: browser.evaluate(shown) > iteration)
+    expression = (
+        "Number(document.getElementById('desk-state').innerText.match(/iteration (\\d+)/)[1])"
+    )
+    assert wait_until(lambda: browser.evaluate(expression) > iteration)
     assert "has ended" not in browser.text()
 
 

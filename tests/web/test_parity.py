@@ -135,14 +135,14 @@ def test_thrown_over_it_stands_within_four_seconds_and_drives_on(
         ]
         return run_node({**job, "episodes": throws})
 
-    for thrown in throw(4.0):
-        assert thrown["rising"] > 10
-        assert thrown["isStanding"]
-        assert thrown["events"] == []
-    for thrown in throw(seconds):
-        assert thrown["velocity"][0] == pytest.approx(speed, abs=0.1)
-        assert thrown["isStanding"]
-        assert thrown["events"] == []
+    for result in throw(4.0):
+        assert result["rising"] > 10
+        assert result["isStanding"]
+        assert result["events"] == []
+    for result in throw(seconds):
+        assert result["velocity"][0] == pytest.approx(speed, abs=0.1)
+        assert result["isStanding"]
+        assert result["events"] == []
 
 
 def test_it_climbs_stairs_that_it_sees(robot_files, run_node):

@@ -89,8 +89,8 @@ def test_what_no_page_sends_ends_its_connection_alone(server, text):
 
 
 def test_a_taken_port_is_passed_over():
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
         assert find_free_port("127.0.0.1", port) > port
 
 

@@ -112,9 +112,9 @@ def test_a_policy_that_observes_by_python_is_not_shared(loaded_runs, tmp_path):
         "    walk.TASK, env=dataclasses.replace(walk.TASK.env, observation=observation))\n"
     )
     loaded = loaded_runs["walk"]
-    mine = load_task(file).env.observation["clock"]
-    assert isinstance(mine, Observation)
-    config = dataclasses.replace(loaded.env.config, observation={"clock": mine})
+    clock = load_task(file).env.observation["clock"]
+    assert isinstance(clock, Observation)
+    config = dataclasses.replace(loaded.env.config, observation={"clock": clock})
     env = type("Env", (), {"config": config})()
     with pytest.raises(UserError, match="observation 'clock' is Python of your own"):
         site.check_shareable(dataclasses.replace(loaded, env=env))
@@ -157,9 +157,9 @@ def test_meshes_to_see_become_light_and_keep_their_shape(monkeypatch):
 
 def test_merging_keeps_only_triangles():
     vertices, faces = make_ball(2000)
-    merged, kept = merge_vertices(vertices, faces, 0.03)
-    assert kept.max() == len(merged) - 1
-    assert all(len(set(face)) == 3 for face in kept.tolist())
+    merged, triangles = merge_vertices(vertices, faces, 0.03)
+    assert triangles.max() == len(merged) - 1
+    assert all(len(set(face)) == 3 for face in triangles.tolist())
 
 
 def test_a_page_is_written_as_a_folder(tmp_path: Path):

@@ -113,17 +113,17 @@ def make_field_names(names: Iterable[str]) -> tuple[str, ...]:
     >>> make_field_names(["FR hip", "FR-hip", "2nd", "timestamp"])
     ('FR_hip', 'FR_hip_2', '_2nd', 'timestamp_2')
     """
-    taken = {_STAMP}
+    identifiers = {_STAMP}
     result = []
     for name in names:
         stem = re.sub(r"[^0-9A-Za-z_]+", "_", name).strip("_") or "value"
         if stem[0].isdigit():
             stem = "_" + stem
         identifier, count = stem, 1
-        while identifier.lower() in taken:  # readers may map names to one case
+        while identifier.lower() in identifiers:  # readers may map names to one case
             count += 1
             identifier = f"{stem}_{count}"
-        taken.add(identifier.lower())
+        identifiers.add(identifier.lower())
         result.append(identifier)
     return tuple(result)
 

@@ -44,8 +44,8 @@ def print_comparison(labels: Sequence[str], results: Sequence[dict[str, Any]]) -
 def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
     """Draw the metrics as panels: each run's episodes as dots, their mean and its interval."""
     names = {name for result in results for name in result["summary"]}
-    shown = [row for row in METRICS if row.name in names and row.name not in _NOT_DRAWN]
-    lines = math.ceil((1 + len(shown)) / _COLUMNS)
+    metrics = [row for row in METRICS if row.name in names and row.name not in _NOT_DRAWN]
+    lines = math.ceil((1 + len(metrics)) / _COLUMNS)
     first = results[0]
     figure = make_figure(
         (15, 4.5 * lines),
@@ -56,9 +56,9 @@ def draw_comparison(labels: list[str], results: list[dict[str, Any]]) -> Figure:
     tidy(panels[0], "episodes that end by a fall", "%")
     for place, result in enumerate(results):
         _draw_falls(panels[0], place, result["summary"])
-    for axes in panels[1 + len(shown) :]:
+    for axes in panels[1 + len(metrics) :]:
         axes.set_axis_off()
-    for axes, (name, heading, unit, _) in zip(panels[1 : 1 + len(shown)], shown, strict=True):
+    for axes, (name, heading, unit, _) in zip(panels[1 : 1 + len(metrics)], metrics, strict=True):
         tidy(axes, heading, unit)
         for place, result in enumerate(results):
             _draw_metric(axes, place, result, name)

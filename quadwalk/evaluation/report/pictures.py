@@ -45,9 +45,9 @@ def render_video(
 
     It is an MP4 if `path` ends so, or a GIF. A picture is `width` by `height` pixels.
     """
-    wanted = min(seconds, rollout.steps * rollout.control_dt)
-    start = (rollout.steps * rollout.control_dt - wanted) / 2
-    times = start + np.arange(max(round(wanted * FPS), 1)) / FPS
+    span = min(seconds, rollout.steps * rollout.control_dt)
+    start = (rollout.steps * rollout.control_dt - span) / 2
+    times = start + np.arange(max(round(span * FPS), 1)) / FPS
     rows = np.clip((times / rollout.control_dt).round().astype(int), 0, rollout.steps)
     save_video(_draw_pictures(rollout, quadruped, rows, width, height), path)
 

@@ -144,7 +144,9 @@ def measure_held(
 
     starts = reset_with_commands(env, commands, episodes, seed)
     cells = measure_cells(env, loaded.policy.act, starts, episodes, measure, GROUP, report)
-    return [{"command": list(held)} | cell for held, cell in zip(commands, cells, strict=True)]
+    return [
+        {"command": list(command)} | cell for command, cell in zip(commands, cells, strict=True)
+    ]
 
 
 def measure_still(loaded: LoadedRun, episodes: int, seed: int) -> dict[str, Any]:
@@ -158,8 +160,8 @@ def measure_still(loaded: LoadedRun, episodes: int, seed: int) -> dict[str, Any]
     rolled_out = roll_out_paths(env, loaded.policy.act, starts)
     paths = [poses[settled:, :2] for _, _, poses in rolled_out]
     # Those that did not fall before.
-    moved = [float(np.linalg.norm(path - path[0], axis=1).max()) for path in paths if len(path)]
-    return {"moved": summarize_values(moved), "most": max(moved, default=None)}
+    distances = [float(np.linalg.norm(path - path[0], axis=1).max()) for path in paths if len(path)]
+    return {"moved": summarize_values(distances), "most": max(distances, default=None)}
 
 
 def remove_creep(loaded: LoadedRun) -> LoadedRun:

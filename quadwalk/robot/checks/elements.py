@@ -101,9 +101,9 @@ class Checker:
         """
         form = FORMS[element.tag]
         if not form.children and not element.attrib and (element.text or "").strip():
-            shown = element.text.strip()[:40]
+            excerpt = element.text.strip()[:40]
             expected = ", ".join(form.attributes)
-            self.refuse(element, f"holds '{shown}' as text; expected attributes: {expected}")
+            self.refuse(element, f"holds '{excerpt}' as text; expected attributes: {expected}")
         self._check_attributes(element)
         self._check_children(element)
         counts = Counter(child.tag for child in element)
@@ -192,20 +192,20 @@ class Checker:
         length = LENGTHS.get(name, 1)
         # A color without transparency is none that a robot should fail for.
         allowed = {"scale": (1, 3), "rgba": (3, 4)}.get(name, (length,))
-        shown = f'{name}="{value if len(value) <= 40 else value[:37] + "..."}"'
+        excerpt = f'{name}="{value if len(value) <= 40 else value[:37] + "..."}"'
         if len(words) not in allowed:
             expected = "one number" if length == 1 else f"{length} numbers"
-            self.refuse(element, f"has {shown}; expected {expected}")
+            self.refuse(element, f"has {excerpt}; expected {expected}")
         for word in words:
             if not _NUMBER.fullmatch(word) or not math.isfinite(float(word)):
-                self.refuse(element, f"has {shown}; expected finite numbers")
+                self.refuse(element, f"has {excerpt}; expected finite numbers")
             size = abs(float(word))
             if 0 < size < MIN_NUMBER and element.tag == "origin":
                 element.set(name, element.get(name).replace(word, "0"))
             elif 0 < size < MIN_NUMBER:
-                self.refuse(element, f"has {shown}; expected 0 or at least {MIN_NUMBER:g}")
+                self.refuse(element, f"has {excerpt}; expected 0 or at least {MIN_NUMBER:g}")
             if size > MAX_NUMBER and element.tag != "limit":
-                self.refuse(element, f"has {shown}; expected at most {MAX_NUMBER:g}")
+                self.refuse(element, f"has {excerpt}; expected at most {MAX_NUMBER:g}")
 
     def _check_signs(self, element: etree._Element) -> None:
         """Raise `UrdfError` for a size that is not above 0; a visual shape may have size 0.

@@ -35,9 +35,10 @@ def check_topology(checker: Checker, root: etree._Element) -> None:
         parent_of[child] = parent
     roots = [name for name in links if name not in parent_of]
     if len(roots) > 1:
-        shown = ", ".join(f"'{name}'" for name in roots[:4]) + (", ..." if roots[4:] else "")
+        listing = ", ".join(f"'{name}'" for name in roots[:4]) + (", ..." if roots[4:] else "")
         raise UrdfError(
-            f"{checker.source}: {len(roots)} links have no parent ({shown}); expected one root link"
+            f"{checker.source}: {len(roots)} links have no parent ({listing}); "
+            "expected one root link"
         )
     try:
         TopologicalSorter({child: [parent] for child, parent in parent_of.items()}).prepare()

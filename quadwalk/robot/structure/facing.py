@@ -138,9 +138,9 @@ def find_turn(tree: Tree, meshes: Meshes | None = None) -> tuple[np.ndarray, str
     feet = [turn for turn in thighs if evidence.fits_feet(turn)]
     if _is_among(upright, feet):
         return upright, ""
-    chosen = [turn for turn in feet if evidence.fits_knees(turn)]
-    if len(chosen) == 1:
-        return chosen[0], "thighs and knees"
+    candidates = [turn for turn in feet if evidence.fits_knees(turn)]
+    if len(candidates) == 1:
+        return candidates[0], "thighs and knees"
     raise UrdfError(
         f"{tree.source}: link '{tree.root}' does not have x ahead and z up "
         f"({evidence.describe()}), and neither names nor knees tell front from rear; expected "
@@ -153,26 +153,26 @@ def _choose_by_names(
 ) -> tuple[np.ndarray, str]:
     """Choose one of the `turns` that fit the thighs, as `find_turn`, where legs have names."""
     upright = np.eye(3)
-    named = [turn for turn in turns if evidence.fits_names(turn)]
-    if _is_among(upright, named):
+    candidates = [turn for turn in turns if evidence.fits_names(turn)]
+    if _is_among(upright, candidates):
         return upright, ""
-    chosen = [turn for turn in named if evidence.fits_feet(turn)]
+    matches = [turn for turn in candidates if evidence.fits_feet(turn)]
     hips = ", ".join(
         f"{chain[0].name} ({x:.3g}, {y:.3g}, {z:.3g})"
         for chain, (x, y, z) in zip(chains, evidence.hips, strict=True)
     )
     expected = "expected FR, FL, RR, RL with x ahead, y left, z up"
-    if len(chosen) != 1:
+    if len(matches) != 1:
         raise UrdfError(
             f"{tree.source}: names and places of the legs of '{tree.root}' contradict each other: "
             f"{hips}, {evidence.describe()}; {expected}"
         )
-    if np.linalg.norm(evidence.knees) > CLEAR_KNEES and not evidence.fits_knees(chosen[0]):
+    if np.linalg.norm(evidence.knees) > CLEAR_KNEES and not evidence.fits_knees(matches[0]):
         raise UrdfError(
             f"{tree.source}: names and knees of the legs of '{tree.root}' contradict each other: "
-            f"{hips} face {name_axis(chosen[0][0])}, where knees would bend forward; {expected}"
+            f"{hips} face {name_axis(matches[0][0])}, where knees would bend forward; {expected}"
         )
-    return chosen[0], "names and thighs"
+    return matches[0], "names and thighs"
 
 
 def read_names(chains: Iterable[Chain]) -> list[str]:

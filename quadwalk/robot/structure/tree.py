@@ -151,10 +151,10 @@ def name_axis(direction: np.ndarray) -> str:
     return ("-" if direction[index] < 0 else "+") + "xyz"[index]
 
 
-def make_unique(name: str, taken: Container[str]) -> str:
-    """Return `name`, with the first number from 2 on that sets it apart from those `taken`."""
+def make_unique(name: str, others: Container[str]) -> str:
+    """Return `name`, with the first number from 2 on that sets it apart from `others`."""
     candidate, count = name, 1
-    while candidate in taken:
+    while candidate in others:
         count += 1
         candidate = f"{name}_{count}"
     return candidate

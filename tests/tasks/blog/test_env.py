@@ -55,7 +55,7 @@ def roll_pitch_yaw(quat: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def drawn() -> tuple[np.ndarray, ...]:
+def states() -> tuple[np.ndarray, ...]:
     """Draw states in single precision, as wild as can be.
 
     They are qpos before a step, and qpos and qvel after it.
@@ -72,19 +72,19 @@ def drawn() -> tuple[np.ndarray, ...]:
     before[:, 0] -= rng.uniform(-0.02, 0.02, STATES)
     before[:, 7:] -= rng.uniform(-0.1, 0.1, (STATES, 12))
     qvel = rng.uniform(-10, 10, (STATES, 18))
-    found = tuple(x.astype(np.float32) for x in (before, qpos, qvel))
+    arrays = tuple(x.astype(np.float32) for x in (before, qpos, qvel))
     # Away from where the angles are not determined, or single precision might decide otherwise.
-    angles = np.abs(roll_pitch_yaw(found[1][:, 3:7].astype(float)))
+    angles = np.abs(roll_pitch_yaw(arrays[1][:, 3:7].astype(float)))
     sound = angles[:, 1] < 1.5
     for edge in (np.pi / 4, np.pi / 2):
         sound &= (np.abs(angles[:, :2] - edge) > 1e-4).all(axis=1)
-    sound &= np.abs(found[1][:, 2] - 0.05) > 1e-4
+    sound &= np.abs(arrays[1][:, 2] - 0.05) > 1e-4
     assert sound.mean() > 0.95
-    return tuple(x[sound] for x in found)
+    return tuple(x[sound] for x in arrays)
 
 
 @pytest.fixture(scope="module")
-def concluded(env, drawn):
+def concluded(env, states):
     """Return the states that the environment makes of those steps."""
 
     def one(before, qpos, qvel):
@@ -93,11 +93,11 @@ def concluded(env, drawn):
         after = EnvState(PhysicsState(qpos, qvel), jnp.zeros(12), jnp.int32(11))
         return env.evaluate_step(state, after, nothing, jnp.ones((), bool))
 
-    return jax.jit(jax.vmap(one))(*drawn)
+    return jax.jit(jax.vmap(one))(*states)
 
 
-def test_the_observation(env, drawn, concluded):
-    _, qpos, qvel = (x.astype(float) for x in drawn)
+def test_the_observation(env, states, concluded):
+    _, qpos, qvel = (x.astype(float) for x in states)
     spin = np.einsum("nij,nj->ni", rotation(qpos[:, 3:7]), qvel[:, 3:6])  # MuJoCo's is the body's
     expected = np.concatenate(
         [qpos[:, :3], qpos[:, [4, 5, 6, 3]], qvel[:, :3], spin, qpos[:, 7:], qvel[:, 6:]], axis=1
@@ -110,8 +110,8 @@ def test_the_observation(env, drawn, concluded):
     assert names[13:25] == tuple(f"joint_pos_{joint}" for joint in env.quadruped.joints)
 
 
-def test_each_reward_and_their_sum(drawn, concluded):
-    before, qpos, _ = (x.astype(float) for x in drawn)
+def test_each_reward_and_their_sum(states, concluded):
+    before, qpos, _ = (x.astype(float) for x in states)
     angles = np.abs(roll_pitch_yaw(qpos[:, 3:7]))
     expected = {
         "progress": 50 * (qpos[:, 0] - before[:, 0]),
@@ -136,8 +136,8 @@ def test_each_reward_and_their_sum(drawn, concluded):
     np.testing.assert_allclose(concluded.reward, sum(expected.values()), atol=1e-4)
 
 
-def test_an_episode_ends_where_the_post_ends_it(env, drawn, concluded):
-    qpos = drawn[1].astype(float)
+def test_an_episode_ends_where_the_post_ends_it(env, states, concluded):
+    qpos = states[1].astype(float)
     angles = np.abs(roll_pitch_yaw(qpos[:, 3:7]))
     tipped = (angles[:, :2] > np.pi / 2).any(axis=1)
     low = qpos[:, 2] < 0.05
@@ -148,30 +148,30 @@ def test_an_episode_ends_where_the_post_ends_it(env, drawn, concluded):
     np.testing.assert_array_equal(concluded.done, tipped | low)
 
 
-def test_an_action_is_a_place_in_the_joints_range_not_far_from_the_joint(env, drawn):
+def test_an_action_is_a_place_in_the_joints_range_not_far_from_the_joint(env, states):
     rng = np.random.default_rng(1)
-    action = rng.uniform(-1, 1, (len(drawn[1]), 12)).astype(np.float32)
+    action = rng.uniform(-1, 1, (len(states[1]), 12)).astype(np.float32)
     action[:2] = [[-1.0], [1.0]]
-    q = drawn[1][:, 7:]
-    found = jax.vmap(lambda a, q: env.config.action(env.robot, a, q))(action, q)
-    wanted = LOWER + (action.astype(float) + 1) / 2 * (UPPER - LOWER)
+    q = states[1][:, 7:]
+    targets = jax.vmap(lambda a, q: env.config.action(env.robot, a, q))(action, q)
+    goals = LOWER + (action.astype(float) + 1) / 2 * (UPPER - LOWER)
     q = q.astype(float)
-    expected = np.where(wanted > q + 0.5, q + 0.5, np.where(wanted < q - 0.5, q - 0.5, wanted))
-    for share in ((wanted > q + 0.5).mean(), (wanted < q - 0.5).mean()):
+    expected = np.where(goals > q + 0.5, q + 0.5, np.where(goals < q - 0.5, q - 0.5, goals))
+    for share in ((goals > q + 0.5).mean(), (goals < q - 0.5).mean()):
         assert share > 0.1
-    np.testing.assert_allclose(found, expected, atol=1e-6)
+    np.testing.assert_allclose(targets, expected, atol=1e-6)
 
 
 def test_motors_draw_a_joint_to_the_posts_speed_within_its_torque(env):
     rng = np.random.default_rng(2)
     q, qd = rng.uniform(-1, 1, (2, 500, 12))
     target = q + rng.uniform(-0.5, 0.5, (500, 12))
-    found = compute_motor_torque(env.motor, target, q, qd)
+    torque = compute_motor_torque(env.motor, target, q, qd)
     kd = env.motor.kd
-    wanted = 0.1 * (target - q) * 240  # a tenth of the way, in a step of 1/240 s
-    expected = np.clip(kd * (wanted - qd), -44.4, 44.4)
+    goal_speed = 0.1 * (target - q) * 240  # a tenth of the way, in a step of 1/240 s
+    expected = np.clip(kd * (goal_speed - qd), -44.4, 44.4)
     assert 0.1 < (np.abs(expected) == 44.4).mean() < 0.9
-    np.testing.assert_allclose(found, expected, atol=1e-4)
+    np.testing.assert_allclose(torque, expected, atol=1e-4)
 
 
 def test_both_models_have_the_tasks_gravity_and_torque(env):
@@ -200,9 +200,11 @@ def test_the_first_step_is_rewarded_from_the_start(first, step):
     state = step(first, jnp.full(12, 0.5))
     qpos = np.asarray(state.pipeline_state.physics.qpos, float)
     yaw = roll_pitch_yaw(qpos[None, 3:7])[0, 2]
-    moved = np.abs(qpos[7:] - START).sum()
-    assert moved > 0.01
-    assert state.reward == pytest.approx(50 * qpos[0] - 0.01 * abs(yaw) - 0.01 * moved, abs=1e-5)
+    joint_travel = np.abs(qpos[7:] - START).sum()
+    assert joint_travel > 0.01
+    assert state.reward == pytest.approx(
+        50 * qpos[0] - 0.01 * abs(yaw) - 0.01 * joint_travel, abs=1e-5
+    )
 
 
 def test_an_episode_has_1000_steps_of_one_physics_step(env, first):
@@ -244,11 +246,11 @@ def test_euler_angles_of_random_rotations_are_scipys():
     quat = np.random.default_rng(0).normal(size=(3000, 4))
     quat = (quat / np.linalg.norm(quat, axis=1, keepdims=True)).astype(np.float32)
     expected = Rotation.from_quat(quat, scalar_first=True).as_euler("xyz")
-    found = np.asarray(jax.vmap(blog.compute_euler_angles)(quat))
+    angles = np.asarray(jax.vmap(blog.compute_euler_angles)(quat))
     steep = np.abs(np.sin(expected[:, 1])) > 0.99  # of whose angles less digits are left
     assert 10 < steep.sum() < 100
-    np.testing.assert_allclose(found[~steep], expected[~steep], atol=1e-5)
-    np.testing.assert_allclose(found[steep], expected[steep], atol=2e-3)
+    np.testing.assert_allclose(angles[~steep], expected[~steep], atol=1e-5)
+    np.testing.assert_allclose(angles[steep], expected[steep], atol=2e-3)
 
 
 @pytest.mark.parametrize(

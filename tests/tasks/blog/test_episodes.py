@@ -31,7 +31,7 @@ def env(quadruped) -> QuadrupedEnv:
 def rollout(env):
     """Return a rollout in MuJoCo C of a policy that throws the legs about."""
     weights = jax.random.normal(jax.random.PRNGKey(1), (37, 12))
-    policy = jax.tree_util.Partial(lambda w, seen: jnp.tanh(seen @ w), weights)
+    policy = jax.tree_util.Partial(lambda w, obs: jnp.tanh(obs @ w), weights)
     (rollout,) = simulate_episodes(env, policy, 1, seed=0)
     return rollout
 
@@ -39,9 +39,9 @@ def rollout(env):
 def test_a_rollout_has_the_targets_that_were_obeyed(rollout):
     assert (rollout.steps, rollout.end) == (STEPS, "time limit")
     q = rollout.qpos[:-1, 7:]
-    wanted = LOWER + (rollout.action + 1) / 2 * (UPPER - LOWER)
-    expected = np.clip(wanted, q - 0.5, q + 0.5)
-    assert 0.1 < (expected != wanted).mean() < 1.0
+    goals = LOWER + (rollout.action + 1) / 2 * (UPPER - LOWER)
+    expected = np.clip(goals, q - 0.5, q + 0.5)
+    assert 0.1 < (expected != goals).mean() < 1.0
     np.testing.assert_allclose(rollout.target, expected, atol=1e-5)
     np.testing.assert_allclose(rollout.observation[:, 13:25], q, atol=1e-6)
     assert np.abs(rollout.torque).max() == pytest.approx(44.4, rel=1e-4)
@@ -55,10 +55,12 @@ def test_it_is_measured_and_recorded(rollout, env, tmp_path):
     write_mcap(path, add_foot_forces(rollout, env), env.quadruped, {})
     with open(path, "rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        seen = [found.decoded_message for found in reader.iter_decoded_messages(["/observation"])]
-    assert len(seen) == STEPS
-    assert seen[7].world_position_z == pytest.approx(rollout.qpos[7, 2])
-    assert seen[7].world_orientation_w == pytest.approx(rollout.qpos[7, 3])
+        messages = [
+            message.decoded_message for message in reader.iter_decoded_messages(["/observation"])
+        ]
+    assert len(messages) == STEPS
+    assert messages[7].world_position_z == pytest.approx(rollout.qpos[7, 2])
+    assert messages[7].world_orientation_w == pytest.approx(rollout.qpos[7, 3])
 
 
 def test_noise_for_every_number_that_is_seen(env):
