@@ -209,7 +209,8 @@ def draw_stride(name: str, file: Path, across: int = 5) -> np.ndarray:
     [rollout] = simulate_episodes(env, loaded.policy.act, 1, seed=0, starts=starts)
     start, end = find_middle_strides(rollout, 1, otherwise=0.5)
     canvas = Canvas(env.quadruped.make_full_model(), 288, 216)
-    font, pictures = ImageFont.load_default(size=16), []
+    font = ImageFont.load_default(size=16)
+    pictures: list[np.ndarray] = []
     for row in np.linspace(start, end, across, endpoint=False).round().astype(int):
         pose = rollout.qpos[row]
         eye = Camera((*pose[:2], 0.75 * height), 3.6 * height, azimuth=118.0, elevation=-14.0)
