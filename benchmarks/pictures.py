@@ -31,7 +31,7 @@ from quadwalk.errors import UserError
 from quadwalk.evaluation.gait import find_middle_strides
 from quadwalk.evaluation.load import load_run
 from quadwalk.evaluation.rollout import reset_with_commands, simulate_episodes
-from quadwalk.evaluation.suites.gaits import to_held_run
+from quadwalk.evaluation.suites.gaits import SECONDS, to_held_run
 from quadwalk.evaluation.sweep import draw_sweep
 from quadwalk.paths import PRETRAINED
 from quadwalk.render.canvas import Camera, Canvas
@@ -162,15 +162,21 @@ def draw_terrain() -> None:
     save_png(draw_kinds(config, load_quadruped()), DOCS / "terrain.png")
 
 
+def locate_example_robots() -> Path:
+    """Return the folder of example-robot-data; raise `UserError` where it is not installed."""
+    folder = find_example_robots()
+    if folder is None:
+        raise UserError("example-robot-data is not installed; expected the extra zoo")
+    return folder
+
+
 def draw_zoo() -> None:
     """Write zoo.png: the robots of `ROBOTS` in their home poses, at one scale, with mass and speed.
 
     Each is read from its URDF; the figures are those of studies/results/zoo.json. Raises
     `UserError` without example-robot-data.
     """
-    folder = find_example_robots()
-    if folder is None:
-        raise UserError("example-robot-data is not installed; expected the extra zoo")
+    folder = locate_example_robots()
     figures = {row["robot"]: row for row in load_result("zoo")["figures"]}
     font, pictures = ImageFont.load_default(size=22), []
     for name, file in ROBOTS.items():
@@ -191,9 +197,7 @@ def draw_universal() -> None:
     The packaged `universal` drives them, straight ahead. Raises `UserError` without
     example-robot-data.
     """
-    folder = find_example_robots()
-    if folder is None:
-        raise UserError("example-robot-data is not installed; expected the extra zoo")
+    folder = locate_example_robots()
     rows = [draw_stride(name, folder / ROBOTS[name]) for name in STRIDES_OF]
     save_png(make_film_strip(rows, across=1), DOCS / "universal.png")
 
@@ -201,7 +205,7 @@ def draw_universal() -> None:
 def draw_stride(name: str, file: Path, across: int = 5) -> np.ndarray:
     """Return `across` pictures of one stride of a robot side by side; its file is a URDF."""
     robot = OtherRobotConfig(urdf=file).find()
-    loaded = to_held_run(load_run(Run(PRETRAINED / "universal"), 8.0, robot=robot))
+    loaded = to_held_run(load_run(Run(PRETRAINED / "universal"), SECONDS, robot=robot))
     env = loaded.env
     height = env.quadruped.home[2]
     speed = round(PACE * (GRAVITY * height) ** 0.5, 1)

@@ -3,8 +3,8 @@
     python benchmarks/warm_start.py RUN... [--task run] [--robots a1 go1 go2]
         [--steps 10000000] [--seed 0]
 
-"nothing" among the runs is a training from random networks. Robots are those of
-example-robot-data, whose URDFs are named so. It prints when the evaluation environments run at
+"nothing" among the runs is a training from random networks. Robots are files, or names of robots in
+installed packages as of `--robot.urdf`. It prints when the evaluation environments run at
 1 m/s, reach 98 % of the fastest at the end, and fall in 2 % of their episodes: steps and seconds of
 training, means over the last 20 iterations. With commands the speed is the commanded one less the
 velocity's error. To see that it works: --steps 300000.
@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 import quadwalk
-from benchmarks.shared import find_example_robots, make_parser
+from benchmarks.shared import make_parser
+from quadwalk.cli.process import run_command
 from quadwalk.runs.log import read_history
 
 ITERATIONS = 20  # that a mean is over
@@ -41,15 +42,9 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=10_000_000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    folder = find_example_robots()
-    if folder is None:
-        parser.error("example-robot-data is not installed; expected the extra `zoo`")
     for name in options.robots:
-        urdf = find_urdf(folder, name)
-        if urdf is None:
-            parser.error(f"no {name}.urdf in {folder}")
         curves = {
-            run: train(options.task, urdf, run, options.steps, options.seed) for run in options.runs
+            run: train(options.task, name, run, options.steps, options.seed) for run in options.runs
         }
         final = max(curve.speeds[-1] for curve in curves.values())
         print(f"{name}: {final:.2f} m/s at the end of the fastest")
@@ -63,20 +58,14 @@ def main() -> None:
             )
 
 
-def find_urdf(folder: Path, name: str) -> Path | None:
-    """Return the URDF of a robot in the folder of example-robot-data, or of its folder's name."""
-    files = sorted(folder.rglob(f"{name}.urdf")) or sorted(folder.rglob(f"{name}_*/**/*.urdf"))
-    return next(iter(files), None)
-
-
-def train(task: str, urdf: Path, run: str, steps: int, seed: int) -> Curve:
+def train(task: str, robot: str, run: str, steps: int, seed: int) -> Curve:
     """Train a robot in `task`, with the networks of `run` at first.
 
     Returns its curve, in which speeds and falls are means over the last `ITERATIONS`.
     """
     init = None if run == NOTHING else run
     rows = read_history(
-        quadwalk.train(task, robot=urdf, steps=steps, seed=seed, init=init, quiet=True)
+        quadwalk.train(task, robot=robot, steps=steps, seed=seed, init=init, quiet=True)
     )
     step_counts, seconds, speeds, falls = (
         np.array([row[name] for row in rows])
@@ -102,4 +91,4 @@ def describe_when(curve: Curve, reached: np.ndarray) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

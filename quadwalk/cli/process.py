@@ -66,16 +66,18 @@ def _run(main: Callable[[], object]) -> Any:
     # What is imported and traced stays: to look for garbage there takes a tenth of a start.
     gc.set_threshold(100_000)
     try:
-        _restart_with_packages()
-        main()
-        if sys.stdout is not None:
-            sys.stdout.flush()  # only now a full disk may refuse what was printed
+        try:
+            _restart_with_packages()
+            main()
+            if sys.stdout is not None:
+                sys.stdout.flush()  # only now a full disk may refuse what was printed
+        finally:
+            if hasattr(signal, "setitimer"):
+                signal.setitimer(signal.ITIMER_REAL, 0.0)  # nothing of the command goes on
         return 0
     except SystemExit as stop:  # of --help
         return stop.code
     except BaseException as error:
-        if signals and hasattr(signal, "setitimer"):
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
         if signals or isinstance(error, KeyboardInterrupt):  # a library may raise another error
             return _fail("interrupted", _INTERRUPTED)
         if isinstance(error, UserError):
