@@ -156,12 +156,14 @@ def yaw_rate_off(robot: RobotConstants, step: Step) -> jax.Array:
 
 
 def fidget(robot: RobotConstants, step: Step) -> jax.Array:
-    """At the command to stand, distance of joints from the home pose, and motion, up to 1; else 0.
+    """At the command to stand, joints off the home pose, motion and lifted feet, up to 1; else 0.
 
-    It is the mean squared distance, rad^2, plus 0.01 times the mean squared velocity, (rad/s)^2.
+    It is the mean squared distance, rad^2, plus 0.01 times the mean squared velocity, (rad/s)^2,
+    plus 0.1 times the share of the feet that are off the floor.
     """
     off = jnp.mean(jnp.square(step.qpos[7:] - robot.home_joints))
     off += 0.01 * jnp.mean(jnp.square(step.qvel[6:]))
+    off += 0.1 * jnp.mean(~step.contact)
     return jnp.minimum(off, 1.0) * jnp.all(step.command == 0.0)
 
 

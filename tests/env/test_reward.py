@@ -83,10 +83,19 @@ def make_slipping_step(command) -> Step:
 
 
 def make_fidgeting_step(robot, command: float) -> Step:
-    """Return a step with half of the joints 0.2 rad off home, at 2 rad/s; `command` in m/s."""
+    """Return a step with half of the joints 0.2 rad off home, at 2 rad/s, and one foot lifted.
+
+    `command` is the pace ahead, m/s.
+    """
     qpos = jnp.asarray(robot.home, jnp.float32).at[7:13].add(0.2)
     qvel = jnp.zeros(18).at[6:12].set(2.0)
-    return make_step(start=qpos, qpos=qpos, qvel=qvel, command=jnp.zeros(3).at[0].set(command))
+    return make_step(
+        start=qpos,
+        qpos=qpos,
+        qvel=qvel,
+        contact=jnp.array([True, False, True, True]),
+        command=jnp.zeros(3).at[0].set(command),
+    )
 
 
 def make_swinging_step(steps, heights, command) -> Step:
@@ -177,10 +186,10 @@ CASES = {
     # Commanded 0.5 m/s, 0.3 m/s off.
     "approach": (make_moving_step(0.0, 0.0, (0.3, 0.4), (0.0, 0.4, 0.0)), 0.4 - 0.3),
     "yaw_rate_off": (make_moving_step(0.0, 0.03, (0.0, 0.0), (0.0, 0.0, 0.5)), 1.0),
-    # Half of the joints 0.2 rad off home at 2 rad/s.
+    # Half of the joints 0.2 rad off home at 2 rad/s, one of four feet lifted.
     "fidget": (
         lambda robot: make_fidgeting_step(robot, command=0.0),
-        0.5 * 0.2**2 + 0.01 * 0.5 * 2.0**2,
+        0.5 * 0.2**2 + 0.01 * 0.5 * 2.0**2 + 0.1 / 4,
     ),
     # Past the half turn: 0.03 rad in 0.02 s are 1.5 rad/s, and twice the width of 1 off.
     "follow_yaw_rate": (
