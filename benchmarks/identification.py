@@ -27,7 +27,7 @@ PARTS = tuple[float, float, float]  # of hip, thigh and calf
 
 
 @dataclass(frozen=True)
-class Known:
+class LogSetup:
     """An AlienGo on a stand, and how it is recorded."""
 
     armature: PARTS = (0.007, 0.0137, 0.0148)  # kg m^2
@@ -45,18 +45,18 @@ class Known:
 
 
 CASES = {
-    "plain": Known(),
-    "sharp friction": Known(friction_speed=0.01),
-    "stiff": Known(kp=120.0, kd=3.0),
-    "noise x4": Known(noise=2e-3),
-    "legs +5 %": Known(legs=1.05),
-    "tilt 0.05 rad": Known(tilt=0.05),
-    "offsets": Known(offset=(0.02, -0.03, 0.05)),
-    "offsets that the controller has too": Known(offset=(0.02, -0.03, 0.05), shared=True),
+    "plain": LogSetup(),
+    "sharp friction": LogSetup(friction_speed=0.01),
+    "stiff": LogSetup(kp=120.0, kd=3.0),
+    "noise x4": LogSetup(noise=2e-3),
+    "legs +5 %": LogSetup(legs=1.05),
+    "tilt 0.05 rad": LogSetup(tilt=0.05),
+    "offsets": LogSetup(offset=(0.02, -0.03, 0.05)),
+    "offsets that the controller has too": LogSetup(offset=(0.02, -0.03, 0.05), shared=True),
 }
 
 
-def record_log(quadruped: Quadruped, setup: Known, seconds: float) -> Log:
+def record_log(quadruped: Quadruped, setup: LogSetup, seconds: float) -> Log:
     """Simulate a robot on a stand that follows the targets of `make_targets`; return its log.
 
     MuJoCo C simulates the robot of `setup` for `seconds`.

@@ -4,7 +4,7 @@
 
 Trains each task as `python train.py TASK` does, unless the folder has a run of that name, and keeps
 each policy and its robot in assets/pretrained/NAME. `drive` begins with the networks of a shorter
-`walk`, as in docs/results.md, and `universal` with those of `drive`.
+`walk`, as in docs/results.md, `universal` with those of `drive`, `universal_getup` of `getup`.
 """
 
 import shutil
@@ -21,9 +21,13 @@ from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import RobotConfig
 
 # Task -> flags of the training whose networks it begins with, whatever its own seed.
-BEGINS = {"drive": ["walk", "--steps", "12000000", "--seed", "1"], "universal": ["drive"]}
-SEED = {"getup": ["--seed", "2"], "universal": ["--seed", "1"]}
-TASKS = ["run", "walk", "drive", "getup", "rough", "universal"]
+BEGINS = {
+    "drive": ["walk", "--steps", "12000000", "--seed", "1"],
+    "universal": ["drive"],
+    "universal_getup": ["getup"],
+}
+SEED = {"drive": ["--seed", "1"], "getup": ["--seed", "2"], "universal": ["--seed", "1"]}
+TASKS = ["run", "walk", "drive", "getup", "rough", "universal", "universal_getup"]
 
 
 def main() -> None:

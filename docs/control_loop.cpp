@@ -1,7 +1,7 @@
 // Drive a robot with policy.onnx: the loop of docs/deploy.md in C++17, with ONNX Runtime.
 //
 //     g++ -std=c++17 -O2 control_loop.cpp -I ORT/include -L ORT/lib -lonnxruntime -o control_loop
-//     ./control_loop out/policy.onnx < states.txt
+//     LD_LIBRARY_PATH=ORT/lib ./control_loop out/policy.onnx < states.txt
 //
 // ORT is an unpacked release of ONNX Runtime. As it stands, the program reads states from standard
 // input and prints joint targets. For a robot, replace read_state, send_targets and stop_motors by

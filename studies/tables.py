@@ -212,7 +212,7 @@ def list_kinds(rows: Sequence[Row]) -> Templates:
 # Measurements that are rows already.
 
 # Of robots that `universal` drives.
-DRIVEN: Templates = {
+DRIVE_COLUMNS: Templates = {
     "no fall, %": "{no_fall:.1f}",
     "velocity error, m/s": "{velocity_error:.2f}",
     "yaw rate error, rad/s": "{yaw_rate_error:.2f}",
@@ -248,13 +248,13 @@ COLUMNS: dict[str, Templates] = {
         "gait": "{gait}",
         "of the thigh motors' speed": "{share:.2f}",
     },
-    "universal": {"robot": "{robot}", "kg": "{mass:.1f}", **DRIVEN},
+    "universal": {"robot": "{robot}", "kg": "{mass:.1f}", **DRIVE_COLUMNS},
     "mjcf": {
         "robot": "{robot}",
         "kg": "{mass:.1f}",
         "error": "{error}",
         "stands": "{stands}",
-        **DRIVEN,
+        **DRIVE_COLUMNS,
     },
     "foreign": {
         "condition": "{condition}",

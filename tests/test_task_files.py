@@ -25,7 +25,19 @@ TASK = dataclasses.replace(sprint.TASK, task="still", env=dataclasses.replace(
 
 
 @pytest.mark.parametrize(
-    "name", ["blog", "drive", "getup", "obstacles", "rough", "run", "sprint", "universal", "walk"]
+    "name",
+    [
+        "blog",
+        "drive",
+        "getup",
+        "obstacles",
+        "rough",
+        "run",
+        "sprint",
+        "universal",
+        "universal_getup",
+        "walk",
+    ],
 )
 def test_a_task_of_the_package_is_found_by_its_name(name):
     assert name in list_tasks()

@@ -21,6 +21,8 @@ class BodyConstants(NamedTuple):
 
 # kg, between light and medium bodies, and between these and heavy ones.
 LIGHT, HEAVY = 10.0, 35.0
+# Metrics that are counted by class, where a task has them.
+FIGURES_BY_CLASS = ("fell", "velocity_error", "standing")
 
 
 def find_classes(robot: RobotConstants) -> dict[str, jax.Array]:

@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 
 from quadwalk.brax import Env, State
 from quadwalk.env.actions import delay_targets
-from quadwalk.env.bank import BodyConstants, find_classes, make_bank
+from quadwalk.env.bank import FIGURES_BY_CLASS, BodyConstants, find_classes, make_bank
 from quadwalk.env.command import advance_command, compute_target_velocity, start_command
 from quadwalk.env.constants import make_robot_constants
 from quadwalk.env.numbers import get_numbers, replace_numbers
@@ -523,10 +523,11 @@ class QuadrupedEnv(Env):
         if self.config.reset.tumbled:
             metrics["standing"] = standing
         if self.bank is not None:
-            for name, share in find_classes(robot).items():
-                metrics[f"count/bodies/{name}"] = share
-                metrics[f"count/fell/{name}"] = share * fell
-                metrics[f"count/velocity_error/{name}"] = share * velocity_error
+            figures = {name: metrics[name] for name in FIGURES_BY_CLASS if name in metrics}
+            for body_class, share in find_classes(robot).items():
+                metrics[f"count/bodies/{body_class}"] = share
+                for name, value in figures.items():
+                    metrics[f"count/{name}/{body_class}"] = share * value
         return metrics | {f"reward/{name}": value for name, value in terms.items()}
 
     def make_example_state(self, key: jax.Array | None = None) -> EnvState:

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 
 from quadwalk.env.state import RobotConstants, Step, compute_trot_swing, needs_strides
-from quadwalk.physics.fast import compute_leg_points
 from quadwalk.physics.rotation import compute_gravity_direction, compute_yaw
 from quadwalk.settings.terms import Reward
 
@@ -116,9 +115,23 @@ def crossed(robot: RobotConstants, step: Step, *, margin: float) -> jax.Array:
     More than 0 where a knee or foot of the right one is not `margin`, m, to the right of both of
     the left one, in the trunk's frame. Training lets legs pass through each other.
     """
-    aside = compute_leg_points(robot.geometry, step.qpos[7:])[:, :, 1]
+    aside = robot.compute_leg_points(step.qpos[7:])[:, :, 1]
     gap = jnp.min(aside[:, 1::2], axis=0) - jnp.max(aside[:, ::2], axis=0)
     return jnp.mean(jnp.clip(margin - gap, 0.0, 0.3))
+
+
+def legs_in_trunk(robot: RobotConstants, step: Step, *, margin: float, height: float) -> jax.Array:
+    """Distance by which legs reach into the trunk, m, mean of the legs, up to 0.3.
+
+    More than 0 where a knee or foot is nearer the middle of the trunk than at home by more than
+    `margin`, m. All of it counts at the level of the trunk's origin, none at `height`, m, below.
+    Training lets legs pass through the trunk.
+    """
+    points = robot.compute_leg_points(step.qpos[7:])
+    home = robot.compute_leg_points(robot.home_joints)[..., 1]
+    inward = jnp.clip(jnp.abs(home) - margin - jnp.sign(home) * points[..., 1], 0.0, 0.3)
+    level = jnp.clip(1.0 + points[..., 2] / height, 0.0, 1.0)
+    return jnp.mean(jnp.max(inward * level, axis=0))
 
 
 def _compute_up(step: Step) -> jax.Array:
@@ -253,8 +266,8 @@ def feet_behind(robot: RobotConstants, step: Step) -> jax.Array:
     Along the trunk, of the middle of each pair, mean of both. So the swings of a trot are free, and
     legs that work far behind their hips are not. Ahead is free: there feet brake.
     """
-    feet = compute_leg_points(robot.geometry, step.qpos[7:])[0, :, 0]
-    home = compute_leg_points(robot.geometry, robot.home_joints)[0, :, 0]
+    feet = robot.compute_leg_points(step.qpos[7:])[0, :, 0]
+    home = robot.compute_leg_points(robot.home_joints)[0, :, 0]
     behind = jnp.mean((home - feet).reshape(2, 2), axis=1) / robot.home_height
     return jnp.mean(jnp.maximum(behind, 0.0))
 

@@ -21,7 +21,8 @@ _PLACE = np.r_[np.ones(3), np.zeros(16)]  # of a pose, what is a length
 def resize_robot(robot: RobotConstants, leg: float) -> RobotConstants:
     """Return the constants of a robot that stands on legs of `leg`, m."""
     factor = leg / robot.leg
-    return replace(robot, home=robot.home * (1.0 + _PLACE * (factor - 1.0)))
+    home = robot.home * (1.0 + _PLACE * (factor - 1.0))
+    return replace(robot, home=home, standard_leg=leg)
 
 
 def resize_state(robot: RobotConstants, state: EnvState, leg: float) -> EnvState:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 import jax
 import jax.numpy as jnp
 
+from quadwalk.physics.fast import compute_leg_points
 from quadwalk.physics.model import Model, RobotRandomization
 from quadwalk.physics.motor import PhysicsState
 from quadwalk.physics.rotation import compute_yaw, rotate_back_about_z
@@ -47,6 +48,9 @@ class RobotConstants:
     knee_turns: Array
     description: Array  # (n,) of the body, see `quadwalk/env/constants.py`
     geometry: Model  # with the spheres that may touch the floor, and the ground
+    # m, of the legs of a robot of standard size and joints, as which rewards and observations may
+    # have this one (`quadwalk/env/similarity.py`); None: they have it as it is
+    standard_leg: Scalar | None = None
 
     @property
     def ground(self) -> Surface | None:
@@ -91,6 +95,17 @@ class RobotConstants:
         legs = joints.reshape(4, 3)
         thigh = legs[:, 1] + self.knee_turns * legs[:, 2]
         return self.joint_signs * jnp.stack([legs[:, 0], thigh, legs[:, 2]], axis=1).ravel()
+
+    def compute_leg_points(self, joints: Array) -> Array:
+        """Return the centers of the feet, and of the knees if they may touch the ground (n, 4, 3).
+
+        They are in the trunk's frame, m. `joints` (12,), rad, and lengths are those of a robot with
+        legs of `standard_leg`, if there is one.
+        """
+        if self.standard_leg is None:
+            return compute_leg_points(self.geometry, joints)
+        angles = self.home_joints + self.from_standard(joints - self.home_joints)
+        return self.standard_leg / self.leg * compute_leg_points(self.geometry, angles)
 
 
 class Command(NamedTuple):

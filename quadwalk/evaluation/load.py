@@ -109,6 +109,15 @@ def _make_one_robot_env(many: QuadrupedEnv) -> tuple[QuadrupedEnv, Translation]:
     return one, translate_observations(many, one, "observation")
 
 
+def find_robot_for(run: Run, loaded: LoadedRun) -> RobotConfig | None:
+    """Return the robot of `loaded` if the policy of `run` is one of many bodies; else None.
+
+    So `load_run` gets both policies for the same robot, if they can have it.
+    """
+    is_of_many = load_policy(run.policy).config.env.unit_leg is not None
+    return loaded.policy.config.robot if is_of_many else None
+
+
 def find_training_ranges(config: EnvConfig) -> RandomizationConfig:
     """Return the ranges of a task's domain randomization; `REAL_WORLD` where it had none."""
     ranges = config.randomization

@@ -11,7 +11,7 @@ import onnxruntime
 from rich.console import Console
 
 from quadwalk.errors import UserError
-from quadwalk.evaluation.load import LoadedRun, load_run
+from quadwalk.evaluation.load import LoadedRun, find_robot_for, load_run
 from quadwalk.export.deploy_yaml import make_deploy_yaml
 from quadwalk.export.description import make_policy_model
 from quadwalk.export.policy_graph import (
@@ -65,7 +65,7 @@ def export_run(
         **{script.name: script.read_bytes() for script in SCRIPTS},
     }
     if getup is not None:
-        riser = load_flat(getup, "last")
+        riser = load_flat(getup, "last", find_robot_for(getup, loaded))
         if not riser.has_same_robot(loaded):
             raise UserError(
                 f"{getup.path} is of another robot or control period; expected those of {run.path}"

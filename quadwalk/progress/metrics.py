@@ -70,8 +70,9 @@ class TrainingMetrics:
     environments, where the policy acts without noise. Speeds in m/s, falls as a share of episodes.
     eval/velocity_error: with velocity commands, how far the velocity is from them in a step, m/s.
     eval/standing: the share of time that those stand, of tasks that start in any pose.
-    train/velocity_error/CLASS, train/fell/CLASS: with several bodies, of a class of them (such as
-    light), the velocity error, and the share of control steps that end in a fall.
+    train/fell/CLASS, train/velocity_error/CLASS, train/standing/CLASS: with several bodies, of a
+    class of them (such as light), the share of control steps that end in a fall and, of tasks that
+    have them, the velocity error and the share of time that robots stand.
     train/level/KIND: with a curriculum, the mean level, from 0, of environments on that ground.
     """
 
@@ -134,10 +135,11 @@ class TrainingMetrics:
                 robots = values[name.replace("level", "robots", 1)]
                 levels[LEVEL + name.removeprefix("count/level/")] = value / max(robots, 1.0)
             elif name.startswith("count/bodies/"):
-                for figure in ("fell", "velocity_error"):
-                    total = values[name.replace("bodies", figure, 1)]
-                    of_class = name.removeprefix("count/bodies/")
-                    classes[f"train/{figure}/{of_class}"] = total / max(value, 1e-9)
+                body_class = name.removeprefix("count/bodies/")
+                for figure in ("fell", "velocity_error", "standing"):
+                    total = values.get(f"count/{figure}/{body_class}")
+                    if total is not None:
+                        classes[f"train/{figure}/{body_class}"] = total / max(value, 1e-9)
             elif name.startswith(("loss/", "policy/", "learning_rate")):
                 learning[name] = value
         return {**fixed, **of_task, **terms, **levels, **classes, **learning}

@@ -38,6 +38,7 @@ TERMS: dict[str, Callable[..., Any]] = {
     "reward:approach": rewards.approach,
     "reward:yaw_rate_off": rewards.yaw_rate_off,
     "reward:fidget": rewards.fidget,
+    "reward:legs_in_trunk": rewards.legs_in_trunk,
     "reward:drag": rewards.drag,
     "reward:slip": rewards.slip,
     "reward:slip_share": rewards.slip_share,

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from quadwalk.cli.shell import get_python, quote_words
 from quadwalk.errors import UsageError, UserError
-from quadwalk.evaluation.load import LoadedRun, load_run
+from quadwalk.evaluation.load import LoadedRun, find_robot_for, load_run
 from quadwalk.files import make_folder, open_atomic
 from quadwalk.learn.acting import load_checkpoint_policy, load_policy
 from quadwalk.learn.devices import set_up_devices
@@ -23,7 +23,8 @@ from quadwalk.web import site
 from quadwalk.web.actor import PythonActor
 from quadwalk.web.serve import Actor, Content
 
-GETUP = Run(PRETRAINED / "getup")  # gets robots up, where no other run is named for that
+# They get robots up where no other run is named for that: the AlienGo, and any other.
+GETUPS = [Run(PRETRAINED / "getup"), Run(PRETRAINED / "universal_getup")]
 SECONDS = 3600.0  # of an episode: the page's has no end
 
 
@@ -52,9 +53,9 @@ class LiveSite:
         self._first = load(run, which, robot)
         self.notes = self._first.notes if robot else ()  # lines on the other robot
         self._is_remote = site.is_python_needed(self._first)
-        self._riser = load(getup or GETUP, "last")
+        self._getup = getup
         self.files: dict[str, Content] = {}
-        dog = make_dog(self._first, self._riser, self._is_remote)
+        dog = make_dog(self._first, getup, self._is_remote)
         for label, file in list_policies(run).items():
             name = site.make_policy_name(f"{run.name}.{file.stem}")
             dog.policies[label] = name
@@ -73,7 +74,7 @@ class LiveSite:
         """
         loaded = load(run, "last")
         site.check_shareable(loaded)
-        dog = make_dog(loaded, self._riser)
+        dog = make_dog(loaded, self._getup)
         self.files |= dog.files
         return dog.to_json()
 
@@ -141,19 +142,18 @@ def make_files(
     """Return the files, by name, of a page that runs the policies of `runs` without Python.
 
     `which` policy of each run it is: "last" or "best". `getup` is the run that gets robots up;
-    None: the packaged one. Policies of many bodies drive another `robot`, if named. Raises
+    None: a packaged one. Policies of many bodies drive another `robot`, if named. Raises
     `UserError` where a policy cannot act without Python, and `UsageError` for two runs of one name.
     """
     names = [run.name for run in runs]
     if len(set(names)) < len(names):
         raise UsageError(f"two runs have the same name: {', '.join(names)}; expected other names")
     set_up_devices(1)
-    riser = load(getup or GETUP, "last")
     dogs = []
     for run in runs:
         loaded = load(run, which, robot)
         site.check_shareable(loaded)
-        dogs.append(make_dog(loaded, riser))
+        dogs.append(make_dog(loaded, getup))
     return site.make_site(dogs, site.make_ground(loaded.env))
 
 
@@ -174,11 +174,18 @@ def convert(loaded: LoadedRun, file: Path) -> bytes:
     return site.pack_policy(replace(loaded, file=file, policy=policy))
 
 
-def make_dog(loaded: LoadedRun, riser: LoadedRun, remote: bool = False) -> site.Dog:
-    """Return a run's robot for the page, with the policy that gets it up where it fits."""
-    return site.make_dog(loaded, riser if can_get_up(loaded, riser) else None, remote)
+def make_dog(loaded: LoadedRun, getup: Run | None, remote: bool = False) -> site.Dog:
+    """Return a run's robot for the page, with the policy that gets it up."""
+    return site.make_dog(loaded, load_getup(loaded, getup), remote)
 
 
-def can_get_up(loaded: LoadedRun, riser: LoadedRun) -> bool:
-    """Return True if `riser`, another run, has the robot of `loaded`, so that it gets it up."""
-    return loaded.run.path != riser.run.path and loaded.has_same_robot(riser)
+def load_getup(loaded: LoadedRun, getup: Run | None) -> LoadedRun | None:
+    """Load another policy that gets the robot of `loaded` up; return None where none does.
+
+    It is that of the run `getup`; if that is None, the first of `GETUPS` that has this robot.
+    """
+    for run in GETUPS if getup is None else [getup]:
+        riser = load(run, "last", find_robot_for(run, loaded))
+        if loaded.has_same_robot(riser):
+            return None if run.path == loaded.run.path else riser
+    return None

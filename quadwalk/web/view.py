@@ -39,8 +39,8 @@ class ViewConfig(Settings):
 
     # name or path of a run, or "latest"; before any training: drive, which comes trained
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = "latest"
-    # name or path of a run that gets the robot up where it has fallen; None: getup, which comes
-    # trained, where the robot is of its kind
+    # name or path of a run that gets the robot up where it has fallen; None: getup or, for another
+    # robot than the AlienGo, universal_getup, which come trained
     getup: str | None = None
     policy: Literal["last", "best"] = "last"  # the run's last, or that of its best checkpoint
     window: bool = False  # show it in MuJoCo's own window instead
@@ -182,10 +182,11 @@ def get_time(file: Path) -> int | None:
 def show_window(run: Run, which: str, getup: Run | None, robot: RobotConfig | None) -> None:
     """Export the policy to a temporary folder, and run it in MuJoCo's window."""
     from quadwalk.export.bundle import export_run, load_flat
-    from quadwalk.web.robots import GETUP, can_get_up
+    from quadwalk.web.robots import load_getup
 
-    if getup is None and can_get_up(load_flat(run, which, robot), load_flat(GETUP, "last")):
-        getup = GETUP
+    if getup is None:
+        riser = load_getup(load_flat(run, which, robot), None)
+        getup = None if riser is None else riser.run
     with tempfile.TemporaryDirectory() as folder:
         export_run(run, which, Path(folder), make_console(), getup, robot)
         command = [sys.executable, f"{folder}/run_policy.py", "--view", "--seconds", "1e9"]

@@ -19,7 +19,7 @@ from quadwalk.learn.networks import make_env_networks
 from quadwalk.physics import fast
 from quadwalk.physics.motor import MotorConfig, PhysicsState, make_standing_motor
 from quadwalk.robot.bodies import Body, make_body, sample_bodies
-from quadwalk.tasks import drive, universal
+from quadwalk.tasks import drive, universal, universal_getup
 from tests.physics.reference import place_robot, step_control
 
 BODIES = 3
@@ -246,6 +246,25 @@ def test_bodies_train(env):
     assert row["count/nan"] == 0
     places = np.asarray(state.workers.envs.pipeline_state.body)
     assert set(places.ravel()) == set(range(BODIES))
+
+
+def test_legs_of_standard_size_are_where_the_bodys_own_are(env):
+    rng = np.random.default_rng(0)
+    for place in range(BODIES):
+        robot = env.get_body(place).robot
+        offsets = rng.uniform(-0.5, 0.5, 12)
+        joints = robot.home_joints + robot.to_standard(offsets)
+        points = resize_robot(robot, 0.5).compute_leg_points(joints)
+        expected = 0.5 / robot.leg * robot.compute_leg_points(robot.home_joints + offsets)
+        np.testing.assert_allclose(points, expected, atol=1e-5)
+
+
+def test_figures_are_counted_by_class(quadruped, bodies, env):
+    getup = QuadrupedEnv(quadruped, universal_getup.TASK.env, bodies=bodies)
+    for task_env, figure in ((env, "velocity_error"), (getup, "standing")):
+        metrics = jax.eval_shape(task_env.reset, jax.random.PRNGKey(0)).metrics
+        of_light = {name.split("/")[1] for name in metrics if name.endswith("/light")}
+        assert of_light == {"bodies", "fell", figure}
 
 
 def test_bodies_need_the_fast_engine_and_a_level_floor():

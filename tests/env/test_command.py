@@ -21,17 +21,17 @@ from quadwalk.errors import UsageError
 from quadwalk.settings.environment import NO_RANDOMIZATION, CommandConfig
 from quadwalk.tasks import drive, walk
 
-TOLD = CommandConfig(
+TURNING_CONFIG = CommandConfig(
     forward=(-0.5, 1.5), lateral=(0.25, 0.25), yaw_rate=(-1.0, 0.0), standing=0.2, seconds=5.0
 )
 PERIOD = 3  # control steps
-DRIVEN = dataclasses.replace(drive.TASK.env.command, margin=0.0)
+DRIVE_CONFIG = dataclasses.replace(drive.TASK.env.command, margin=0.0)
 
 
 @pytest.fixture(scope="module")
 def command_env(env) -> QuadrupedEnv:
     """Return an environment of the same robot, with a new command every three control steps."""
-    command = dataclasses.replace(TOLD, seconds=PERIOD * 0.02, turning=1.0)
+    command = dataclasses.replace(TURNING_CONFIG, seconds=PERIOD * 0.02, turning=1.0)
     ideal = NO_RANDOMIZATION  # what is seen is so
     config = dataclasses.replace(walk.TASK.env, command=command, randomization=ideal)
     return QuadrupedEnv(env.quadruped, config)
@@ -65,11 +65,11 @@ def many(config: CommandConfig, *grip: float) -> np.ndarray:
 
 
 def test_commands_fill_their_ranges_and_some_are_to_stand():
-    velocities = many(TOLD)
+    velocities = many(TURNING_CONFIG)
     standing = ~velocities.any(axis=1)
     assert 0.17 < standing.mean() < 0.23
     moving = velocities[~standing]
-    for column, (low, high) in enumerate([TOLD.forward, TOLD.lateral, TOLD.yaw_rate]):
+    for column, (low, high) in enumerate([TURNING_CONFIG.forward, TURNING_CONFIG.lateral, TURNING_CONFIG.yaw_rate]):
         assert moving[:, column].min() == pytest.approx(low, abs=0.01)
         assert moving[:, column].max() == pytest.approx(high, abs=0.01)
         assert moving[:, column].mean() == pytest.approx((low + high) / 2, abs=0.05)
@@ -77,7 +77,7 @@ def test_commands_fill_their_ranges_and_some_are_to_stand():
 
 
 def test_some_commands_are_to_turn_on_the_spot_as_fast_as_any():
-    config = dataclasses.replace(DRIVEN, spot=0.3)
+    config = dataclasses.replace(DRIVE_CONFIG, spot=0.3)
     keys = jax.random.split(jax.random.PRNGKey(0), 4000)
     velocities = np.asarray(jax.vmap(lambda key: sample_velocity(config, key))(keys))
     spot = ~velocities[:, :2].any(axis=1) & velocities.any(axis=1)
@@ -88,7 +88,7 @@ def test_some_commands_are_to_turn_on_the_spot_as_fast_as_any():
 
 
 def test_some_commands_are_straight_ahead_or_back():
-    velocities = many(dataclasses.replace(TOLD, straight=0.5))
+    velocities = many(dataclasses.replace(TURNING_CONFIG, straight=0.5))
     standing = ~velocities.any(axis=1)
     straight = ~velocities[:, 1:].any(axis=1) & ~standing
     assert 0.17 < standing.mean() < 0.23
@@ -107,32 +107,32 @@ def test_some_commands_are_straight_ahead_or_back():
 )
 def test_shares_are_shares(shares, message):
     with pytest.raises(UsageError, match=message):
-        dataclasses.replace(TOLD, **shares)
+        dataclasses.replace(TURNING_CONFIG, **shares)
 
 
 def test_a_command_stays_for_its_time_and_no_longer():
-    command = start_command(TOLD, jax.random.PRNGKey(3), 1.25)
+    command = start_command(TURNING_CONFIG, jax.random.PRNGKey(3), 1.25)
     course = []
     for steps in range(1, 12):
-        command = advance_command(TOLD, command, jnp.asarray(steps), 1.25)
+        command = advance_command(TURNING_CONFIG, command, jnp.asarray(steps), 1.25)
         course.append(np.asarray(command.velocity))
     changed = [bool((a != b).any()) for a, b in itertools.pairwise(course)]
     assert [steps for steps, new in enumerate(changed, 2) if new] == [4, 8]
 
 
 def test_lateral_commands_fade_and_turns_are_bounded():
-    forward, lateral, turn = np.abs(many(DRIVEN, 9.81)).T
+    forward, lateral, turn = np.abs(many(DRIVE_CONFIG, 9.81)).T
     assert np.all(lateral <= 0.5 * np.maximum(1.0 - forward / 2.0, 0.0) + 1e-6)
     assert np.all(forward * turn <= 4.0 + 1e-4)
     assert turn[forward < 2.0].max() > 1.95  # rad/s: slow turns keep all of their range
     assert (forward * turn).max() > 3.9  # m/s^2
     # On a floor that bears 2 m/s^2 a turn needs half of it at most.
-    forward, _, turn = np.abs(many(DRIVEN, 2.0)).T
+    forward, _, turn = np.abs(many(DRIVE_CONFIG, 2.0)).T
     assert 0.9 < (forward * turn).max() <= 1.0 + 1e-4
 
 
 def test_training_goes_beyond_the_ranges_by_their_margin():
-    wide = dataclasses.replace(DRIVEN, margin=0.1, lateral_until=None)
+    wide = dataclasses.replace(DRIVE_CONFIG, margin=0.1, lateral_until=None)
     velocities = many(wide, 9.81)
     # A tenth wider: by 0.275 m/s at either end of 5.5 m/s, by 0.05 of 1 m/s, by 0.2 of 4 rad/s.
     ends = np.array([[-1.275, -0.55, -2.2], [4.775, 0.55, 2.2]])
@@ -142,27 +142,27 @@ def test_training_goes_beyond_the_ranges_by_their_margin():
     assert 4.3 < centripetal.max() <= 4.4 + 1e-4  # m/s^2
     # Rewards count all of what is commanded.
     command = Command(jnp.array([4.0, 0.0, 1.1]), jax.random.PRNGKey(0))
-    for config, turn in ((wide, 1.1), (DRIVEN, 1.0)):
+    for config, turn in ((wide, 1.1), (DRIVE_CONFIG, 1.0)):
         config = dataclasses.replace(config, acceleration=None)
         target_velocity = compute_target_velocity(config, command, jnp.asarray(4.0), 9.81)
         np.testing.assert_allclose(target_velocity, [4.0, 0.0, turn], rtol=1e-6)
 
 
 def test_of_a_turn_counts_what_friction_bears_at_the_robots_speed():
-    config = dataclasses.replace(DRIVEN, acceleration=None)
+    config = dataclasses.replace(DRIVE_CONFIG, acceleration=None)
     command = Command(jnp.array([0.0, 0.1, -2.0]), jax.random.PRNGKey(0))
     # 4 m/s^2, or half of what friction bears; at a stand all of it.
     for speed, grip, turn in ((0.0, 9.81, -2.0), (4.0, 9.81, -1.0), (4.0, 4.0, -0.5)):
         target_velocity = compute_target_velocity(config, command, jnp.asarray(speed), grip)
         np.testing.assert_allclose(target_velocity, [0.0, 0.1, turn], rtol=1e-6)
     np.testing.assert_array_equal(
-        compute_target_velocity(TOLD, command, jnp.asarray(4.0), 9.81), command.velocity
+        compute_target_velocity(TURNING_CONFIG, command, jnp.asarray(4.0), 9.81), command.velocity
     )
 
 
 def test_a_velocity_counts_as_if_commands_came_to_it_at_a_rate():
     # 4 m/s^2 for 0.25 s a step: 1 m/s of the 2.5 m/s to (1.5, 2.0), then another, then the rest.
-    config = dataclasses.replace(TOLD, seconds=100.0, acceleration=4.0)
+    config = dataclasses.replace(TURNING_CONFIG, seconds=100.0, acceleration=4.0)
     command = start_command(config, jax.random.PRNGKey(0), 0.25)
     for velocity, way in (
         ((1.5, 2.0), [(0.0, 0.0), (0.6, 0.8), (1.2, 1.6), (1.5, 2.0), (1.5, 2.0)]),

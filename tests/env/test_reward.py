@@ -25,6 +25,7 @@ PARAMS = {
     "kneel": {"height": 0.04},
     "at_home": {"joints": 0.5, "height": 0.2},
     "crossed": {"margin": 0.05},
+    "legs_in_trunk": {"margin": 0.02, "height": 1.0},
     "trot": {"stride": 20.0, "height": 0.06, "width": 0.04},
     "diagonal": {"height": 0.04},
     "cost_of_transport": {"slow": 0.25},
@@ -174,6 +175,13 @@ CASES = {
         make_step(qpos=roll_front_legs(np.pi / 6, 0.0)),
         (0.05 - (0.051 + 0.0868) + (0.5 / 2 - 0.0868 * np.cos(np.pi / 6) - 0.051)) / 2,
     ),
+    # The same leg reaches in from 0.051 + 0.0868 m to the right; its foot is 0.48 m below.
+    "legs_in_trunk": (
+        make_step(qpos=roll_front_legs(np.pi / 6, 0.0)),
+        (0.051 + 0.0868 - 0.02 + 0.5 / 2 - 0.0868 * np.cos(np.pi / 6) - 0.051)
+        * (1.0 - 0.0868 / 2 - 0.5 * np.cos(np.pi / 6))
+        / 4,
+    ),
     # One width low, twice one off in all joints, half of the cosine.
     "at_home": (
         lambda robot: make_standing_step(robot, share=0.8, bent=1.0, roll=np.pi / 3),
@@ -280,6 +288,7 @@ LIMITS = {
     "raised": (lambda robot: make_standing_step(robot, share=9.0), 1.0),
     "at_home": (lambda robot: make_standing_step(robot, pitch=2.0), 0.0),
     "crossed": (make_step(qpos=roll_front_legs(np.pi / 2, -np.pi / 2)), 0.15),
+    "legs_in_trunk": (make_step(qpos=roll_front_legs(np.pi / 2, 0.0)), 0.3 * (1 - 0.0868) / 4),
     "kneel": (make_step(lowest=jnp.array([0.3, -9.0])), 1.0),
     # Half a stride later it is the others' turn; at the command to stand, nobody's.
     "trot": (make_swinging_step(15, [9.0, 0.06, 0.06, 9.0], (0.0, 0.0, 0.1)), 0.5),

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.identification import Known, record_log
+from benchmarks.identification import LogSetup, record_log
 from quadwalk.errors import UserError
 from quadwalk.identify import identification
 from quadwalk.identify.cli import main
@@ -32,7 +32,7 @@ from quadwalk.identify.simulation import Joints, make_simulator
 from quadwalk.learn.flags import parse_config
 from quadwalk.robot.load import load_robot
 
-KNOWN = Known(friction_speed=0.03, kp=27.0, offset=(0.02, -0.03, 0.05))
+KNOWN = LogSetup(friction_speed=0.03, kp=27.0, offset=(0.02, -0.03, 0.05))
 
 
 @pytest.fixture(scope="module")

@@ -64,6 +64,13 @@ def test_a_row_tells_training_from_evaluation_and_scales_the_terms(metrics):
     assert "eval/velocity_error" not in metrics.make_row(300, COUNTS)
 
 
+def test_figures_of_a_class_of_bodies_are_means_over_its_control_steps(metrics):
+    light = {"count/bodies/light": 20.0, "count/fell/light": 1.0, "count/standing/light": 15.0}
+    row = metrics.make_row(100, {**COUNTS, **light})
+    of_light = {name: value for name, value in row.items() if name.endswith("/light")}
+    assert of_light == {"train/fell/light": 0.05, "train/standing/light": 0.75}
+
+
 def test_the_score_is_the_evaluation_speed_less_the_falls(metrics):
     assert metrics.score == 0.0
     for speed in (9.0, *[3.0] * 10, *[5.0] * 10):  # the last twenty count

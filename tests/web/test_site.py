@@ -12,15 +12,17 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.shared import find_example_robots
 from quadwalk.errors import UserError
 from quadwalk.paths import PRETRAINED
 from quadwalk.robot.mjcf import write_xml
 from quadwalk.runs.directory import Run
 from quadwalk.settings.terms import Observation
+from quadwalk.settings.training import OtherRobotConfig
 from quadwalk.task_files import load_task
 from quadwalk.web import site, vendor
 from quadwalk.web.decimate import decimate_visuals, merge_vertices
-from quadwalk.web.robots import LiveSite
+from quadwalk.web.robots import LiveSite, load, load_getup
 
 
 def test_a_dog_is_its_policy_and_its_robot(loaded_runs):
@@ -45,6 +47,22 @@ def test_other_runs_are_loaded_when_they_are_asked_for(vendor_files, tmp_path):
     assert {entry["robot"], entry["getup"], *entry["policies"].values()} <= set(live.files)
     with pytest.raises(UserError, match="gone"):
         live.files["gone.dog.json"]()
+
+
+def test_a_robot_gets_up_by_its_own_policy_or_by_that_of_many_bodies(loaded_runs):
+    packaged = {name: Run(PRETRAINED / name) for name in ("getup", "universal", "universal_getup")}
+    file = find_example_robots() / "anymal_c_simple_description/urdf/anymal.urdf"
+    anymal = load(packaged["universal"], "last", OtherRobotConfig(urdf=file).find())
+    riser = load_getup(anymal, None)
+    assert riser is not None
+    assert riser.run.path == packaged["universal_getup"].path
+    assert riser.env.quadruped.joints == anymal.env.quadruped.joints
+    assert load_getup(anymal, packaged["getup"]) is None  # that is the AlienGo's
+
+    riser = load_getup(loaded_runs["drive"], None)
+    assert riser is not None
+    assert riser.run.path == packaged["getup"].path
+    assert load_getup(loaded_runs["getup"], None) is None  # it gets up by itself
 
 
 def test_ground_is_written_to_a_millimeter(loaded_runs):

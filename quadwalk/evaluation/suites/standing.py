@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -70,8 +71,10 @@ def make_standing_points(env: QuadrupedEnv) -> dict[str, Point]:
     }
 
 
-def check_standing(env: QuadrupedEnv, poses: np.ndarray) -> tuple[bool, ...]:
-    """Return for each of `SECONDS` True if the robot stands then, on a flat floor.
+def check_standing(
+    env: QuadrupedEnv, poses: np.ndarray, seconds: Sequence[float] = SECONDS
+) -> tuple[bool, ...]:
+    """Return for each of `seconds` True if the robot stands then, on a flat floor.
 
     Its trunk is then higher than `STANDING_HEIGHT` of the home height, and leans by less than
     `STANDING_TILT`. `poses` (T + 1, 7), m and wxyz, are those of the trunk. After the end of an
@@ -80,7 +83,7 @@ def check_standing(env: QuadrupedEnv, poses: np.ndarray) -> tuple[bool, ...]:
     up = 1.0 - 2.0 * (poses[:, 4] ** 2 + poses[:, 5] ** 2)
     high = poses[:, 2] > STANDING_HEIGHT * env.robot.home_height
     stands = high & (up > math.cos(STANDING_TILT))
-    steps = [round(seconds / env.config.control_dt) for seconds in SECONDS]
+    steps = [round(time / env.config.control_dt) for time in seconds]
     return tuple(step < len(stands) and bool(stands[step]) for step in steps)
 
 
