@@ -32,7 +32,7 @@ _MOVED = {"--sweep": "sweep", "--view": "view", "--browser": "view"}
 class RunsConfig(Settings):
     """What evaluations and sweeps have in common."""
 
-    # names or paths of runs, or "latest"; run, walk, drive, getup and rough come trained
+    # names or paths of runs, or "latest"; run, walk, drive, getup and others come trained
     run: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN ...]")] = (
         "latest",
     )

@@ -18,7 +18,7 @@ from quadwalk.settings.training import OtherRobotConfig
 class ExportConfig:
     """Write a policy as ONNX, with deploy.yaml, MJCF, URDF and scripts that run it in MuJoCo."""
 
-    # names or paths of runs, or "latest"; run, walk, drive, getup and rough come trained. Several
+    # names or paths of runs, or "latest"; run, walk, drive, getup and others come trained. Several
     # are for --web
     run: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN ...]")] = (
         "latest",

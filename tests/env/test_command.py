@@ -21,7 +21,7 @@ from quadwalk.errors import UsageError
 from quadwalk.settings.environment import NO_RANDOMIZATION, CommandConfig
 from quadwalk.tasks import drive, walk
 
-TURNING_CONFIG = CommandConfig(
+COMMANDS = CommandConfig(
     forward=(-0.5, 1.5), lateral=(0.25, 0.25), yaw_rate=(-1.0, 0.0), standing=0.2, seconds=5.0
 )
 PERIOD = 3  # control steps
@@ -31,7 +31,7 @@ DRIVE_CONFIG = dataclasses.replace(drive.TASK.env.command, margin=0.0)
 @pytest.fixture(scope="module")
 def command_env(env) -> QuadrupedEnv:
     """Return an environment of the same robot, with a new command every three control steps."""
-    command = dataclasses.replace(TURNING_CONFIG, seconds=PERIOD * 0.02, turning=1.0)
+    command = dataclasses.replace(COMMANDS, seconds=PERIOD * 0.02, turning=1.0)
     ideal = NO_RANDOMIZATION  # what is seen is so
     config = dataclasses.replace(walk.TASK.env, command=command, randomization=ideal)
     return QuadrupedEnv(env.quadruped, config)
@@ -65,11 +65,11 @@ def many(config: CommandConfig, *grip: float) -> np.ndarray:
 
 
 def test_commands_fill_their_ranges_and_some_are_to_stand():
-    velocities = many(TURNING_CONFIG)
+    velocities = many(COMMANDS)
     standing = ~velocities.any(axis=1)
     assert 0.17 < standing.mean() < 0.23
     moving = velocities[~standing]
-    for column, (low, high) in enumerate([TURNING_CONFIG.forward, TURNING_CONFIG.lateral, TURNING_CONFIG.yaw_rate]):
+    for column, (low, high) in enumerate([COMMANDS.forward, COMMANDS.lateral, COMMANDS.yaw_rate]):
         assert moving[:, column].min() == pytest.approx(low, abs=0.01)
         assert moving[:, column].max() == pytest.approx(high, abs=0.01)
         assert moving[:, column].mean() == pytest.approx((low + high) / 2, abs=0.05)
@@ -88,7 +88,7 @@ def test_some_commands_are_to_turn_on_the_spot_as_fast_as_any():
 
 
 def test_some_commands_are_straight_ahead_or_back():
-    velocities = many(dataclasses.replace(TURNING_CONFIG, straight=0.5))
+    velocities = many(dataclasses.replace(COMMANDS, straight=0.5))
     standing = ~velocities.any(axis=1)
     straight = ~velocities[:, 1:].any(axis=1) & ~standing
     assert 0.17 < standing.mean() < 0.23
@@ -107,14 +107,14 @@ def test_some_commands_are_straight_ahead_or_back():
 )
 def test_shares_are_shares(shares, message):
     with pytest.raises(UsageError, match=message):
-        dataclasses.replace(TURNING_CONFIG, **shares)
+        dataclasses.replace(COMMANDS, **shares)
 
 
 def test_a_command_stays_for_its_time_and_no_longer():
-    command = start_command(TURNING_CONFIG, jax.random.PRNGKey(3), 1.25)
+    command = start_command(COMMANDS, jax.random.PRNGKey(3), 1.25)
     course = []
     for steps in range(1, 12):
-        command = advance_command(TURNING_CONFIG, command, jnp.asarray(steps), 1.25)
+        command = advance_command(COMMANDS, command, jnp.asarray(steps), 1.25)
         course.append(np.asarray(command.velocity))
     changed = [bool((a != b).any()) for a, b in itertools.pairwise(course)]
     assert [steps for steps, new in enumerate(changed, 2) if new] == [4, 8]
@@ -156,13 +156,13 @@ def test_of_a_turn_counts_what_friction_bears_at_the_robots_speed():
         target_velocity = compute_target_velocity(config, command, jnp.asarray(speed), grip)
         np.testing.assert_allclose(target_velocity, [0.0, 0.1, turn], rtol=1e-6)
     np.testing.assert_array_equal(
-        compute_target_velocity(TURNING_CONFIG, command, jnp.asarray(4.0), 9.81), command.velocity
+        compute_target_velocity(COMMANDS, command, jnp.asarray(4.0), 9.81), command.velocity
     )
 
 
 def test_a_velocity_counts_as_if_commands_came_to_it_at_a_rate():
     # 4 m/s^2 for 0.25 s a step: 1 m/s of the 2.5 m/s to (1.5, 2.0), then another, then the rest.
-    config = dataclasses.replace(TURNING_CONFIG, seconds=100.0, acceleration=4.0)
+    config = dataclasses.replace(COMMANDS, seconds=100.0, acceleration=4.0)
     command = start_command(config, jax.random.PRNGKey(0), 0.25)
     for velocity, way in (
         ((1.5, 2.0), [(0.0, 0.0), (0.6, 0.8), (1.2, 1.6), (1.5, 2.0), (1.5, 2.0)]),
