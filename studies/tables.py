@@ -248,7 +248,12 @@ COLUMNS: dict[str, Templates] = {
         "gait": "{gait}",
         "of the thigh motors' speed": "{share:.2f}",
     },
-    "universal": {"robot": "{robot}", "kg": "{mass:.1f}", **DRIVE_COLUMNS},
+    "universal": {
+        "robot": "{robot}",
+        "kg": "{mass:.1f}",
+        "gets up within 4 s, %": "{gets_up:.1f}",
+        **DRIVE_COLUMNS,
+    },
     "mjcf": {
         "robot": "{robot}",
         "kg": "{mass:.1f}",
