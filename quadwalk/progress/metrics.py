@@ -71,8 +71,8 @@ class TrainingMetrics:
     eval/velocity_error: with velocity commands, how far the velocity is from them in a step, m/s.
     eval/standing: the share of time that those stand, of tasks that start in any pose.
     train/fell/CLASS, train/velocity_error/CLASS, train/standing/CLASS: with several bodies, of a
-    class of them (such as light), the share of control steps that end in a fall and, of tasks that
-    have them, the velocity error and the share of time that robots stand.
+    class of them, such as light. They are the share of control steps that end in a fall, the
+    velocity error, and the share of time that robots stand.
     train/level/KIND: with a curriculum, the mean level, from 0, of environments on that ground.
     """
 
