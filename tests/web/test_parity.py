@@ -8,9 +8,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.shared import find_example_robots
 from quadwalk.export.controller import Controller, read_list, to_matrix
+from quadwalk.paths import PRETRAINED
+from quadwalk.runs.directory import Run
+from quadwalk.settings.training import OtherRobotConfig
 from quadwalk.web import site
 from quadwalk.web.actor import PythonActor
+from quadwalk.web.robots import load, make_dog
 
 STEPS = 1000
 SPEEDS = ([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.5, 0.0, 0.0], [1.5, 0.0, 1.0], [-0.8, 0.0, 0.0])
@@ -155,6 +160,24 @@ def test_thrown_over_it_stands_within_four_seconds_and_drives_on(
     for result in throw(seconds):
         assert result["velocity"][0] == pytest.approx(speed, abs=0.1)
         assert result["isStanding"]
+        assert result["events"] == []
+
+
+def test_the_robot_of_a_file_is_thrown_over_gets_up_and_drives_on(tmp_path, run_node):
+    """Check policies of many bodies on a Go2, which they were not trained on."""
+    file = find_example_robots() / "go2_description/urdf/go2.urdf"
+    loaded = load(Run(PRETRAINED / "universal"), "last", OtherRobotConfig(urdf=file).find())
+    site.write_folder(make_dog(loaded, None).files, tmp_path)
+    getup = tmp_path / site.make_policy_name("universal.getup")
+    job = {**locate_robot(tmp_path, "universal"), "getup": str(getup)}
+    throws = [
+        {"steps": at + 250, "settle": at + 225, "command": [1.0, 0, 0], "throwAt": at}
+        for at in range(50, 70, 5)
+    ]
+    for result in run_node({**job, "episodes": throws}):
+        assert result["rising"] > 10
+        assert result["isStanding"]
+        assert result["velocity"][0] == pytest.approx(1.0, abs=0.15)
         assert result["events"] == []
 
 
