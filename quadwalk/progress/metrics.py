@@ -134,12 +134,11 @@ class TrainingMetrics:
             elif name.startswith("count/level/"):
                 robots = values[name.replace("level", "robots", 1)]
                 levels[LEVEL + name.removeprefix("count/level/")] = value / max(robots, 1.0)
-            elif name.startswith("count/bodies/"):
-                body_class = name.removeprefix("count/bodies/")
-                for figure in ("fell", "velocity_error", "standing"):
-                    total = values.get(f"count/{figure}/{body_class}")
-                    if total is not None:
-                        classes[f"train/{figure}/{body_class}"] = total / max(value, 1e-9)
+            elif kind == "count":
+                figure, _, body_class = rest.partition("/")
+                bodies = values.get(f"count/bodies/{body_class}")
+                if bodies is not None and figure != "bodies":
+                    classes[f"train/{rest}"] = value / max(bodies, 1e-9)
             elif name.startswith(("loss/", "policy/", "learning_rate")):
                 learning[name] = value
         return {**fixed, **of_task, **terms, **levels, **classes, **learning}
