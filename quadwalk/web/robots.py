@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -185,7 +185,13 @@ def load_getup(loaded: LoadedRun, getup: Run | None) -> LoadedRun | None:
     It is that of the run `getup`; if that is None, the first of `GETUPS` that has this robot.
     """
     for run in GETUPS if getup is None else [getup]:
-        riser = load(run, "last", find_robot_for(run, loaded))
+        riser = load_once(run, find_robot_for(run, loaded))
         if loaded.has_same_robot(riser):
             return None if run.path == loaded.run.path else riser
     return None
+
+
+@lru_cache(maxsize=4)
+def load_once(run: Run, robot: RobotConfig | None) -> LoadedRun:
+    """Load the last policy of `run` as `load` does; several robots of a page share it."""
+    return load(run, "last", robot)
