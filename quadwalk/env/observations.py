@@ -195,6 +195,14 @@ def strides(robot: RobotConstants, state: EnvState) -> jax.Array:
     return jnp.concatenate([jnp.minimum(state.strides.time, 1.0), state.strides.peak])
 
 
+@needs_strides
+@mirrors(LATERAL)
+def mean_yaw_rate_error(robot: RobotConstants, state: EnvState) -> jax.Array:
+    """Yaw rate minus its command, rad/s, in the mean of a stride; for the value network only."""
+    assert state.strides is not None
+    return state.strides.yaw_rate_error
+
+
 @mirrors(*(SCALAR,) * len(Description._fields))
 def body(robot: RobotConstants, state: EnvState) -> jax.Array:
     """Description of the robot's body (n,), without units: see `quadwalk/env/constants.py`."""

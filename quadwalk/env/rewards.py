@@ -163,9 +163,14 @@ def approach(robot: RobotConstants, step: Step) -> jax.Array:
     return jnp.clip(step.commanded_speed, -1.0, 5.0)
 
 
+@needs_strides
 def yaw_rate_off(robot: RobotConstants, step: Step) -> jax.Array:
-    """Distance of the yaw rate from its command, rad/s, up to 2."""
-    return jnp.minimum(jnp.abs(step.yaw_rate_error), 2.0)
+    """Distance of the yaw rate from its command, rad/s, up to 2, in the mean of a stride.
+
+    The trunk may sway within a stride.
+    """
+    assert step.strides is not None
+    return jnp.minimum(jnp.abs(step.strides.yaw_rate_error), 2.0)
 
 
 def fidget(robot: RobotConstants, step: Step) -> jax.Array:
@@ -228,6 +233,20 @@ def short_stride(
     rate *= robot.froude_speed / robot.home_height
     soon = jnp.clip(1.0 - rate * (step.strides.time + step.dt), 0.0, 1.0)
     return jnp.sum(soon * step.landed)
+
+
+@needs_strides
+def late_step(robot: RobotConstants, step: Step, *, frequency: float, slow: float) -> jax.Array:
+    """Number of feet that are late to touch down again, each by how much, from 0 to 1.
+
+    0 until 1/f s after its last touch-down, 1 from 2/f s on. f is `frequency` times
+    sqrt(g / home height). Less at a slow command: all of it counts from a pace of `slow`, a share
+    of the Froude speed, on, and nothing at the command to stand.
+    """
+    assert step.strides is not None
+    rate = frequency * robot.froude_speed / robot.home_height
+    late = jnp.clip(rate * step.strides.time - 1.0, 0.0, 1.0)
+    return jnp.sum(late) * (1.0 - _compute_slowness(robot, step, slow))
 
 
 @needs_strides

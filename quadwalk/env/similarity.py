@@ -88,7 +88,8 @@ def _resize_strides(strides: Strides | None, factor: Scalar) -> Strides | None:
     """Return strides, lengths by `factor` and times by its root."""
     if strides is None:
         return None
-    return Strides(strides.time * factor**0.5, strides.peak * factor)
+    faster = factor**0.5
+    return Strides(strides.time * faster, strides.peak * factor, strides.yaw_rate_error / faster)
 
 
 def _resize_command(command: jax.Array, faster: Scalar) -> jax.Array:

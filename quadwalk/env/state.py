@@ -165,23 +165,30 @@ def start_travel(qpos: jax.Array) -> Travel:
     return Travel(qpos[:2], jnp.zeros((), jnp.int32), zero, zero)
 
 
+STRIDE = 0.3  # s, about the time that a stride takes
+
+
 class Strides(NamedTuple):
-    """The stride that each foot is in."""
+    """The stride that each foot is in, and the mean of what sways with strides."""
 
     time: jax.Array  # (4,) s since it touched down, or since the episode's start
     peak: jax.Array  # (4,) m, highest that the sole was since it was last on the floor
+    # () rad/s, yaw rate minus its command, exponential mean of about the last `STRIDE`
+    yaw_rate_error: jax.Array
 
     def advance(self, step: "Step") -> "Strides":
         """Return the strides after a control step, in which a foot's last stride may have ended."""
         return Strides(
             time=jnp.where(step.landed, 0.0, self.time + step.dt),
             peak=jnp.where(step.contact, 0.0, jnp.maximum(self.peak, step.soles[:, 2])),
+            yaw_rate_error=self.yaw_rate_error
+            + (step.yaw_rate_error - self.yaw_rate_error) * (step.dt / STRIDE),
         )
 
 
 def start_strides() -> Strides:
     """Return the strides of an episode that starts."""
-    return Strides(jnp.zeros(4), jnp.zeros(4))
+    return Strides(jnp.zeros(4), jnp.zeros(4), jnp.zeros(()))
 
 
 class EnvState(NamedTuple):

@@ -8,7 +8,14 @@ from dataclasses import replace
 
 from quadwalk.env import rewards
 from quadwalk.env.actions import ABOUT_HOME
-from quadwalk.env.observations import COMMAND, PROPRIOCEPTION, TRUE_LEGS, TRUE_TRUNK, strides
+from quadwalk.env.observations import (
+    COMMAND,
+    PROPRIOCEPTION,
+    TRUE_LEGS,
+    TRUE_TRUNK,
+    mean_yaw_rate_error,
+    strides,
+)
 from quadwalk.env.terminations import FALLS
 from quadwalk.settings.environment import HOME_RESET, PHYSICS, REAL_WORLD, CommandConfig, EnvConfig
 from quadwalk.settings.terms import Observation, Reward
@@ -23,7 +30,12 @@ TASK = TrainConfig(
         **PHYSICS,
         action=ABOUT_HOME,
         observation={**COMMAND, **PROPRIOCEPTION},
-        critic={**TRUE_TRUNK, **TRUE_LEGS, "strides": Observation(strides)},
+        critic={
+            **TRUE_TRUNK,
+            **TRUE_LEGS,
+            "strides": Observation(strides),
+            "mean_yaw_rate_error": Observation(mean_yaw_rate_error),
+        },
         reward={
             "fall": Reward(rewards.fall, scale=-90.0),
             "track": Reward(rewards.track, {"width": 0.15, "share": 0.05}, scale=2.5),
@@ -42,6 +54,8 @@ TASK = TrainConfig(
             "short_stride": Reward(
                 rewards.short_stride, {"frequency": 0.45, "increase": 0.24}, scale=-4.0
             ),
+            # Without it some seeds stand at a slow walk.
+            "late_step": Reward(rewards.late_step, {"frequency": 0.3, "slow": 0.15}, scale=-0.5),
             "swing_error": Reward(rewards.swing_error, {"low": 0.16, "high": 0.3}, scale=-6.0),
             "flight": Reward(rewards.flight, {"slow": 0.8}, scale=-1.0),
             "drag": Reward(rewards.drag, {"height": 0.06}, scale=-0.5),

@@ -192,7 +192,7 @@ def test_a_robot_four_times_as_large_moves_twice_as_fast(env, quadruped):
         physics=PhysicsState(jnp.asarray(qpos, jnp.float32), jnp.asarray(qvel, jnp.float32)),
         command=state.command._replace(velocity=jnp.ones(3), reached=jnp.ones(2)),
         conditions=None,
-        strides=Strides(jnp.ones(4), jnp.ones(4)),
+        strides=Strides(jnp.ones(4), jnp.ones(4), jnp.ones(())),
     )
     resized = resize_state(small, state, robot.leg)
     np.testing.assert_allclose(resized.qpos[:3], [4.0, 8.0, 12.0])
@@ -201,6 +201,7 @@ def test_a_robot_four_times_as_large_moves_twice_as_fast(env, quadruped):
     np.testing.assert_allclose(resized.command.velocity, [2.0, 2.0, 0.5])
     np.testing.assert_allclose(resized.strides.time, 2.0)
     np.testing.assert_allclose(resized.strides.peak, 4.0)
+    np.testing.assert_allclose(resized.strides.yaw_rate_error, 0.5)
     assert resize_robot(small, robot.leg).home_height == pytest.approx(4.0 * robot.home_height)
     before = state._replace(physics=state.physics._replace(qpos=state.qpos.at[0].add(-0.02)))
     zero = jnp.zeros(())

@@ -30,6 +30,7 @@ PARAMS = {
     "diagonal": {"height": 0.04},
     "cost_of_transport": {"slow": 0.25},
     "short_stride": {"frequency": 0.5, "increase": 0.2},
+    "late_step": {"frequency": 0.5, "slow": 0.5},
     "swing_error": {"low": 0.2, "high": 0.4},
     "slip_share": {"slow": 0.25},
     "flight": {"slow": 0.8},
@@ -117,9 +118,23 @@ def make_landing_step(robot, landed, times=0.0, peaks=0.0, pace=0.0) -> Step:
     strides = Strides(
         jnp.array(times) * unit * jnp.ones(4) - 0.02,
         jnp.array(peaks) * robot.home_height * jnp.ones(4),
+        jnp.zeros(()),
     )
     command = jnp.zeros(3).at[1].set(pace * np.sqrt(robot.home_height * 9.81))
     return make_step(start_contact=~jnp.array(landed), strides=strides, command=command)
+
+
+def make_waiting_step(robot, times: list[float], pace: float) -> Step:
+    """Return a step of feet whose last touch-downs were `times` (4,) before it; units as above."""
+    unit = np.sqrt(robot.home_height / 9.81)
+    strides = start_strides()._replace(time=jnp.array(times) * unit)
+    command = jnp.zeros(3).at[0].set(pace * np.sqrt(robot.home_height * 9.81))
+    return make_step(strides=strides, command=command)
+
+
+def make_turning_step(error: float) -> Step:
+    """Return a step after a stride whose yaw rate was `error` rad/s off in the mean."""
+    return make_step(strides=start_strides()._replace(yaw_rate_error=jnp.asarray(error)))
 
 
 def turn_trunk(roll=0.0, pitch=0.0, yaw=0.0):
@@ -193,7 +208,7 @@ CASES = {
     "track": (make_moving_step(0.0, 0.0, (1.5, 1.0), (1.5, 2.0, 0.0)), np.exp(-1.0)),
     # Commanded 0.5 m/s, 0.3 m/s off.
     "approach": (make_moving_step(0.0, 0.0, (0.3, 0.4), (0.0, 0.4, 0.0)), 0.4 - 0.3),
-    "yaw_rate_off": (make_moving_step(0.0, 0.03, (0.0, 0.0), (0.0, 0.0, 0.5)), 1.0),
+    "yaw_rate_off": (make_turning_step(-1.5), 1.5),
     # Half of the joints 0.2 rad off home at 2 rad/s, one of four feet lifted.
     "fidget": (
         lambda robot: make_fidgeting_step(robot, command=0.0),
@@ -216,6 +231,11 @@ CASES = {
             robot, [True, True, True, False], times=[1.0, 0.5 / 0.7, 9.0, 0.0], pace=1.0
         ),
         0.3 + 0.5,
+    ),
+    # Half a step in a unit of time: FR is half of one late, FL in time, RR and RL fully late.
+    "late_step": (
+        lambda robot: make_waiting_step(robot, [3.0, 1.9, 4.0, 9.0], pace=0.25),
+        (0.5 + 1.0 + 1.0) * 0.5,
     ),
     # FR lifts by three quarters of what is asked for, FL by enough, RR by half too much. RL stands.
     "swing_error": (
@@ -259,7 +279,7 @@ LIMITS = {
     "yaw_error": (make_step(qpos=turn_trunk(yaw=3.0)), 1.0),
     "track": (make_moving_step(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "approach": (make_moving_step(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), -1.0),
-    "yaw_rate_off": (make_moving_step(0.0, 3.1, (0.0, 0.0), (0.0, 0.0, 0.0)), 2.0),
+    "yaw_rate_off": (make_turning_step(3.0), 2.0),
     "fidget": (
         lambda robot: make_fidgeting_step(robot, command=0.1),
         0.0,
@@ -276,6 +296,7 @@ LIMITS = {
     "slip": (make_sole_step([0.0] * 4, [1e6] * 4), 2.0),
     "slip_share": (make_slipping_step([0.0, 0.0, 0.0]), 0.0),  # soles may creep at a stand
     "short_stride": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
+    "late_step": (lambda robot: make_waiting_step(robot, [9.0] * 4, pace=0.0), 0.0),
     "swing_error": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
     "flight": (make_step(command=jnp.array([0.0, 0.0, 9.0]), contact=jnp.zeros(4, bool)), 0.0),
     "crouch": (lambda robot: make_standing_step(robot, share=9.0), 0.0),
@@ -351,6 +372,21 @@ def test_strides_count_time_and_height_from_touch_down_to_touch_down():
     # The others never landed, so their time is that of the episode.
     np.testing.assert_allclose(strides.time[jnp.array([0, 2, 3])], 6 * 0.02, atol=1e-6)
     assert not jnp.any(strides.peak[jnp.array([0, 2, 3])])
+
+
+def test_the_mean_yaw_rate_error_of_a_stride_leaves_its_sway_out():
+    """A trunk turns by 0.2 rad/s too fast, and sways by 1 rad/s at 2.5 strides a second."""
+    strides = start_strides()
+    actual = []
+    for number in range(100):
+        error = 0.2 + np.sin(2.0 * np.pi * number / 20)
+        step = make_moving_step(0.0, 0.02 * (0.5 + error), (0.0, 0.0), (0.0, 0.0, 0.5))
+        strides = strides.advance(step._replace(strides=strides))
+        actual.append(float(strides.yaw_rate_error))
+    stride = np.array(actual[-20:])
+    assert stride.mean() == pytest.approx(0.2, abs=2e-3)
+    # A lag of 0.3 s takes a sway at 5 pi rad/s down to a fifth.
+    assert np.ptp(stride) / 2 == pytest.approx(1.0 / np.hypot(1.0, 0.3 * 5.0 * np.pi), rel=0.05)
 
 
 @pytest.mark.parametrize("heights", NO_TROT)
