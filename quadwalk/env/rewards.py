@@ -236,20 +236,6 @@ def short_stride(
 
 
 @needs_strides
-def late_step(robot: RobotConstants, step: Step, *, frequency: float, slow: float) -> jax.Array:
-    """Number of feet that are late to touch down again, each by how much, from 0 to 1.
-
-    0 until 1/f s after its last touch-down, 1 from 2/f s on. f is `frequency` times
-    sqrt(g / home height). Less at a slow command: all of it counts from a pace of `slow`, a share
-    of the Froude speed, on, and nothing at the command to stand.
-    """
-    assert step.strides is not None
-    rate = frequency * robot.froude_speed / robot.home_height
-    late = jnp.clip(rate * step.strides.time - 1.0, 0.0, 1.0)
-    return jnp.sum(late) * (1.0 - _compute_slowness(robot, step, slow))
-
-
-@needs_strides
 def swing_error(robot: RobotConstants, step: Step, *, low: float, high: float) -> jax.Array:
     """Number of feet that touch down, each by how far its swing was too low or high, from 0 to 1.
 

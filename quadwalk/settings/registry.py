@@ -43,7 +43,6 @@ TERMS: dict[str, Callable[..., Any]] = {
     "reward:slip": rewards.slip,
     "reward:slip_share": rewards.slip_share,
     "reward:short_stride": rewards.short_stride,
-    "reward:late_step": rewards.late_step,
     "reward:swing_error": rewards.swing_error,
     "reward:crouch": rewards.crouch,
     "reward:feet_behind": rewards.feet_behind,

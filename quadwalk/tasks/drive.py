@@ -54,8 +54,6 @@ TASK = TrainConfig(
             "short_stride": Reward(
                 rewards.short_stride, {"frequency": 0.45, "increase": 0.24}, scale=-4.0
             ),
-            # Without it some seeds stand at a slow walk.
-            "late_step": Reward(rewards.late_step, {"frequency": 0.3, "slow": 0.15}, scale=-0.5),
             "swing_error": Reward(rewards.swing_error, {"low": 0.16, "high": 0.3}, scale=-6.0),
             "flight": Reward(rewards.flight, {"slow": 0.8}, scale=-1.0),
             "drag": Reward(rewards.drag, {"height": 0.06}, scale=-0.5),

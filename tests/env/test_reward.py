@@ -30,7 +30,6 @@ PARAMS = {
     "diagonal": {"height": 0.04},
     "cost_of_transport": {"slow": 0.25},
     "short_stride": {"frequency": 0.5, "increase": 0.2},
-    "late_step": {"frequency": 0.5, "slow": 0.5},
     "swing_error": {"low": 0.2, "high": 0.4},
     "slip_share": {"slow": 0.25},
     "flight": {"slow": 0.8},
@@ -122,14 +121,6 @@ def make_landing_step(robot, landed, times=0.0, peaks=0.0, pace=0.0) -> Step:
     )
     command = jnp.zeros(3).at[1].set(pace * np.sqrt(robot.home_height * 9.81))
     return make_step(start_contact=~jnp.array(landed), strides=strides, command=command)
-
-
-def make_waiting_step(robot, times: list[float], pace: float) -> Step:
-    """Return a step of feet whose last touch-downs were `times` (4,) before it; units as above."""
-    unit = np.sqrt(robot.home_height / 9.81)
-    strides = start_strides()._replace(time=jnp.array(times) * unit)
-    command = jnp.zeros(3).at[0].set(pace * np.sqrt(robot.home_height * 9.81))
-    return make_step(strides=strides, command=command)
 
 
 def make_turning_step(error: float) -> Step:
@@ -232,11 +223,6 @@ CASES = {
         ),
         0.3 + 0.5,
     ),
-    # Half a step in a unit of time: FR is half of one late, FL in time, RR and RL fully late.
-    "late_step": (
-        lambda robot: make_waiting_step(robot, [3.0, 1.9, 4.0, 9.0], pace=0.25),
-        (0.5 + 1.0 + 1.0) * 0.5,
-    ),
     # FR lifts by three quarters of what is asked for, FL by enough, RR by half too much. RL stands.
     "swing_error": (
         lambda robot: make_landing_step(
@@ -296,7 +282,6 @@ LIMITS = {
     "slip": (make_sole_step([0.0] * 4, [1e6] * 4), 2.0),
     "slip_share": (make_slipping_step([0.0, 0.0, 0.0]), 0.0),  # soles may creep at a stand
     "short_stride": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
-    "late_step": (lambda robot: make_waiting_step(robot, [9.0] * 4, pace=0.0), 0.0),
     "swing_error": (lambda robot: make_landing_step(robot, [True] * 4), 4.0),
     "flight": (make_step(command=jnp.array([0.0, 0.0, 9.0]), contact=jnp.zeros(4, bool)), 0.0),
     "crouch": (lambda robot: make_standing_step(robot, share=9.0), 0.0),
