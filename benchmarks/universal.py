@@ -2,7 +2,8 @@
 
     python benchmarks/universal.py RUN FILE... [--episodes 64] [--markdown FILE]
 
-A row for each URDF or MJCF, such as those of docs/zoo.md. Episodes of 20 s in MuJoCo C with every
+A row for each URDF or MJCF, such as those of docs/zoo.md; without FILE the robot of the run, such as
+that of a `drive` of its own. Episodes of 20 s in MuJoCo C with every
 shape colliding and everything drawn; commands change as in training. A run of `universal_getup` is
 asked for the share of random poses from which the robot gets up. The last column says what of the
 robot is beyond the bodies trained on. To see that it works: --episodes 2.
@@ -28,9 +29,10 @@ from quadwalk.evaluation.sweep import Point, reset_at_points
 from quadwalk.learn.acting import load_policy
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.runs.directory import Run, find_any_run
-from quadwalk.settings.training import OtherRobotConfig
+from quadwalk.settings.training import OtherRobotConfig, RobotConfig
 
-Measure: TypeAlias = Callable[[Run, Path, int], list[str]]  # of run, file and episodes, the cells
+# Of run, file (None: the robot of the run) and episodes, the cells.
+Measure: TypeAlias = Callable[[Run, Path | None, int], list[str]]
 
 HEADS = (
     "no fall, %",
@@ -47,21 +49,28 @@ STANDING_HEADS = (
 )
 
 
-def make_row(run: Run, file: Path, episodes: int, measure: Measure, heads: Sequence[str]) -> str:
-    """Evaluate the policy of `run` on the robot of a file, and return its row of the table."""
-    name = "/".join(file.parts[-3:])
+def make_row(
+    run: Run, file: Path | None, episodes: int, measure: Measure, heads: Sequence[str]
+) -> str:
+    """Evaluate the policy of `run` on the robot of a file or its own; return the table's row."""
+    name = "/".join(file.parts[-3:]) if file else run.path.name
     try:
         return format_row([name, *measure(run, file, episodes)])
     except UserError as error:
         return format_row([name, f"refused: {error}", *[""] * len(heads)])
 
 
-def drive_robot(run: Run, file: Path, episodes: int) -> list[str]:
+def find_robot(file: Path | None) -> RobotConfig | None:
+    """Return the robot of a file; None for that of the run."""
+    return OtherRobotConfig(urdf=file).find() if file else None
+
+
+def drive_robot(run: Run, file: Path | None, episodes: int) -> list[str]:
     """Drive the robot of a file by the policy of `run`; return its mass and the cells of `HEADS`.
 
     Raises `UserError` for a file that is refused.
     """
-    loaded = to_changing_run(load_run(run, LONG, robot=OtherRobotConfig(urdf=file).find()))
+    loaded = to_changing_run(load_run(run, LONG, robot=find_robot(file)))
     results = evaluate_policy(loaded, episodes, seed=0).episodes
     falls = np.mean([episode["fell"] for episode in results])
     errors = [
@@ -74,17 +83,16 @@ def drive_robot(run: Run, file: Path, episodes: int) -> list[str]:
         f"{100 * (1 - falls):.1f}",
         *(f"{error:.2f}" for error in errors),
         f"{env.config.command.forward[1]:.1f}",
-        describe_excess(env),
+        describe_excess(env) if file else "",
     ]
 
 
-def get_robot_up(run: Run, file: Path, episodes: int) -> list[str]:
+def get_robot_up(run: Run, file: Path | None, episodes: int) -> list[str]:
     """Get the robot of a file up from `episodes` random poses; return the cells, mass first.
 
     Raises `UserError` for a file that is refused.
     """
-    robot = OtherRobotConfig(urdf=file).find()
-    loaded = to_standing_run(load_run(run, max(STANDING_SECONDS), robot=robot))
+    loaded = to_standing_run(load_run(run, max(STANDING_SECONDS), robot=find_robot(file)))
     env = loaded.env
     points = [Point(), Point(everything=1.0)]
     starts = reset_at_points(env, points, episodes, seed=0)
@@ -96,7 +104,7 @@ def get_robot_up(run: Run, file: Path, episodes: int) -> list[str]:
         f"{env.robot.mass:.1f}",
         *(f"{share:.1f}" for share in of_model),
         f"{of_everything[STANDING_SECONDS.index(4.0)]:.1f}",
-        describe_excess(env),
+        describe_excess(env) if file else "",
     ]
 
 
@@ -110,7 +118,7 @@ def main() -> None:
     parser = make_parser(__doc__)
     add = parser.add_argument
     add("run", help="name or path of a run of the task universal or universal_getup")
-    add("files", nargs="+", type=Path, metavar="FILE", help="URDF or MJCF of a quadruped")
+    add("files", nargs="*", type=Path, metavar="FILE", help="URDF or MJCF of a quadruped")
     add("--episodes", type=int, default=64)
     add("--runs", type=Path, default=Path("runs"), help="folder that holds all runs")
     add("--markdown", type=Path, metavar="FILE", help="where the table goes")
@@ -122,7 +130,7 @@ def main() -> None:
     heads = STANDING_HEADS if gets_up else HEADS
     lines = [format_row(["robot", "kg", *heads]), format_row(["---"] * (2 + len(heads)))]
     print("\n".join(lines), flush=True)
-    for file in options.files:
+    for file in options.files or [None]:
         lines.append(make_row(run, file, options.episodes, measure, heads))
         print(lines[-1], flush=True)
     if options.markdown:
