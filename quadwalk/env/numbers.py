@@ -25,7 +25,7 @@ _COMMAND_UNITS = {
     "turning": "m/s^2",
     "acceleration": "m/s^2",
 }
-_COMMAND_SHARES = ("standing", "straight", "spot", "slow")
+_COMMAND_SHARES = ("standing", "straight", "spot")
 # The longest delays say how many targets and readings a state keeps.
 _DELAYS = ("latency", "sensor_latency")
 
@@ -68,8 +68,7 @@ def _list_term_numbers(group: str, terms: Mapping[str, Term]) -> Iterator[Number
 def _list_command_numbers(command: CommandConfig) -> Iterator[Number]:
     for field in (*_COMMAND_UNITS, *_COMMAND_SHARES):
         value = getattr(command, field)
-        # Programs leave it out.
-        if value is None or (field in ("spot", "slow") and not value):
+        if value is None or (field == "spot" and not value):  # programs leave it out
             continue
         yield from _list_field_numbers("command", command, field, _COMMAND_UNITS.get(field, ""))
 

@@ -70,7 +70,6 @@ TASK = TrainConfig(
             standing=0.1,
             straight=0.2,
             spot=0.1,
-            slow=0.1,
             soonest=2.0,
             seconds=5.0,
             lateral_until=2.0,

@@ -87,13 +87,6 @@ def test_some_commands_are_to_turn_on_the_spot_as_fast_as_any():
     assert velocities[spot, 2].max() == pytest.approx(high, abs=0.02)
 
 
-def test_slow_commands_are_a_fifth_of_the_others():
-    config = dataclasses.replace(COMMANDS, slow=0.3)
-    changed = (many(config) != many(COMMANDS)).any(axis=1)
-    assert 0.27 < changed.mean() < 0.33
-    np.testing.assert_allclose(many(config)[changed], 0.2 * many(COMMANDS)[changed], rtol=1e-5)
-
-
 def test_some_commands_are_straight_ahead_or_back():
     velocities = many(dataclasses.replace(COMMANDS, straight=0.5))
     standing = ~velocities.any(axis=1)
@@ -109,7 +102,7 @@ def test_some_commands_are_straight_ahead_or_back():
     [
         ({"straight": 1.5}, "env.command.straight is 1.5"),
         ({"straight": 0.9}, "--env.command.standing is 0.2, --env.command.straight 0.9"),
-        ({"spot": 0.9}, "--env.command.spot 0.9 and --env.command.slow 0.0"),
+        ({"spot": 0.9}, "--env.command.straight 0.0 and --env.command.spot 0.9"),
     ],
 )
 def test_shares_are_shares(shares, message):
