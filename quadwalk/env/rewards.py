@@ -173,6 +173,14 @@ def yaw_rate_off(robot: RobotConstants, step: Step) -> jax.Array:
     return jnp.minimum(jnp.abs(step.strides.yaw_rate_error), 2.0)
 
 
+def momentary_yaw_rate_off(robot: RobotConstants, step: Step) -> jax.Array:
+    """Distance of the yaw rate from its command, rad/s, up to 2, in each control step.
+
+    Unlike `yaw_rate_off` it counts the sway within a stride.
+    """
+    return jnp.minimum(jnp.abs(step.yaw_rate_error), 2.0)
+
+
 def fidget(robot: RobotConstants, step: Step) -> jax.Array:
     """At the command to stand, joints off the home pose, motion and lifted feet, up to 1; else 0.
 

@@ -37,6 +37,7 @@ TERMS: dict[str, Callable[..., Any]] = {
     "reward:track": rewards.track,
     "reward:approach": rewards.approach,
     "reward:yaw_rate_off": rewards.yaw_rate_off,
+    "reward:momentary_yaw_rate_off": rewards.momentary_yaw_rate_off,
     "reward:fidget": rewards.fidget,
     "reward:legs_in_trunk": rewards.legs_in_trunk,
     "reward:drag": rewards.drag,

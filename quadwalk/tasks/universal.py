@@ -23,6 +23,9 @@ TASK = replace(
         reward={
             **drive.TASK.env.reward,
             "approach": Reward(rewards.approach, scale=1.5),
+            # Bodies that sway fall more often.
+            "yaw_rate_off": Reward(rewards.yaw_rate_off, scale=0.0),
+            "momentary_yaw_rate_off": Reward(rewards.momentary_yaw_rate_off, scale=-2.0),
             "fidget": Reward(rewards.fidget, scale=-8.0),
             "crouch": Reward(rewards.crouch, {"slow": 0.8}, scale=-4.0),
             "cost_of_transport": Reward(rewards.cost_of_transport, {"slow": 0.15}, scale=-1.0),

@@ -200,6 +200,11 @@ CASES = {
     # Commanded 0.5 m/s, 0.3 m/s off.
     "approach": (make_moving_step(0.0, 0.0, (0.3, 0.4), (0.0, 0.4, 0.0)), 0.4 - 0.3),
     "yaw_rate_off": (make_turning_step(-1.5), 1.5),
+    # 0.03 rad in 0.02 s are 1.5 rad/s, 1 more than commanded.
+    "momentary_yaw_rate_off": (
+        make_moving_step(0.0, 0.03, (9.0, 9.0), (9.0, 9.0, 0.5)),
+        1.0,
+    ),
     # Half of the joints 0.2 rad off home at 2 rad/s, one of four feet lifted.
     "fidget": (
         lambda robot: make_fidgeting_step(robot, command=0.0),
@@ -266,6 +271,7 @@ LIMITS = {
     "track": (make_moving_step(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), 0.0),
     "approach": (make_moving_step(0.0, 0.0, (1e6, 0.0), (0.0, 0.0, 0.0)), -1.0),
     "yaw_rate_off": (make_turning_step(3.0), 2.0),
+    "momentary_yaw_rate_off": (make_moving_step(0.0, 0.0, (9.0, 9.0), (9.0, 9.0, 5.0)), 2.0),
     "fidget": (
         lambda robot: make_fidgeting_step(robot, command=0.1),
         0.0,
