@@ -66,7 +66,7 @@ def find_robot(file: Path | None) -> RobotConfig | None:
 
 
 def drive_robot(run: Run, file: Path | None, episodes: int) -> list[str]:
-    """Drive the robot of a file by the policy of `run`; return its mass and the cells of `HEADS`.
+    """Drive the robot of a file, or that of `run`, by its policy; return cells, mass first.
 
     Raises `UserError` for a file that is refused.
     """
@@ -83,12 +83,12 @@ def drive_robot(run: Run, file: Path | None, episodes: int) -> list[str]:
         f"{100 * (1 - falls):.1f}",
         *(f"{error:.2f}" for error in errors),
         f"{env.config.command.forward[1]:.1f}",
-        describe_excess(env) if file else "",
+        describe_excess(env),
     ]
 
 
 def get_robot_up(run: Run, file: Path | None, episodes: int) -> list[str]:
-    """Get the robot of a file up from `episodes` random poses; return the cells, mass first.
+    """Get the robot of a file, or that of `run`, up from random poses; return cells, mass first.
 
     Raises `UserError` for a file that is refused.
     """
@@ -104,12 +104,14 @@ def get_robot_up(run: Run, file: Path | None, episodes: int) -> list[str]:
         f"{env.robot.mass:.1f}",
         *(f"{share:.1f}" for share in of_model),
         f"{of_everything[STANDING_SECONDS.index(4.0)]:.1f}",
-        describe_excess(env) if file else "",
+        describe_excess(env),
     ]
 
 
 def describe_excess(env: QuadrupedEnv) -> str:
-    """Return what of the robot is beyond the bodies trained on."""
+    """Return what of the robot is beyond the bodies trained on; "" for a policy of one robot."""
+    if env.config.unit_leg is None:
+        return ""
     return ", ".join(figure.excess for figure in list_figures(env) if figure.excess)
 
 
@@ -117,7 +119,7 @@ def main() -> None:
     """Evaluate a policy on the robots of all files; print the table."""
     parser = make_parser(__doc__)
     add = parser.add_argument
-    add("run", help="name or path of a run of the task universal or universal_getup")
+    add("run", help="name or path of a run: universal, universal_getup, drive")
     add("files", nargs="*", type=Path, metavar="FILE", help="URDF or MJCF of a quadruped")
     add("--episodes", type=int, default=64)
     add("--runs", type=Path, default=Path("runs"), help="folder that holds all runs")
