@@ -14,6 +14,8 @@ from quadwalk.settings.environment import CommandConfig
 _COMMANDS = 0x636D64
 # Share of the acceleration that friction can give which a turn may need.
 GRIP_USED = 0.5
+# Slow commands are this share of one drawn as the others.
+SLOWED = 0.2
 
 
 def start_command(
@@ -71,7 +73,8 @@ def sample_velocity(
     """Return a command (3,), uniform in ranges widened by the margin, then limited by friction.
 
     For `config.standing` of all keys it is zero, for `config.straight` of them forward alone, for
-    `config.spot` to turn on the spot. `grip`, m/s^2, is the acceleration that friction can give.
+    `config.spot` to turn on the spot, for `config.slow` a fifth of what is drawn. It is zero too
+    where it is below `config.still`. `grip`, m/s^2, is the acceleration that friction can give.
     `scale` (3,) are factors for another body, see `CommandConfig.compute_scale`; None: there is
     none.
     """
@@ -89,6 +92,13 @@ def sample_velocity(
         share = _compute_max_yaw_rate(config, speed, grip) / fastest
         command = command.at[2].multiply(jnp.minimum(share, 1.0))
     command = jnp.where(shares[3] < 1.0 - config.straight, command, command.at[1:].set(0.0))
+    if isinstance(config.slow, jax.Array) or config.slow:
+        last = 1.0 - config.straight
+        is_slow = (shares[3] >= last - config.slow) & (shares[3] < last)
+        command = jnp.where(is_slow, SLOWED * command, command)
+    if isinstance(config.still, jax.Array) or config.still:
+        fastest = jnp.maximum(jnp.linalg.norm(command[:2]), jnp.abs(command[2]))
+        command = jnp.where(fastest < config.still, 0.0, command)
     command = jnp.where(shares[3] < config.standing, 0.0, command)
     return command if scale is None else scale * command
 

@@ -24,8 +24,9 @@ _COMMAND_UNITS = {
     "lateral_until": "m/s",
     "turning": "m/s^2",
     "acceleration": "m/s^2",
+    "still": "m/s",
 }
-_COMMAND_SHARES = ("standing", "straight", "spot")
+_COMMAND_SHARES = ("standing", "straight", "spot", "slow")
 # The longest delays say how many targets and readings a state keeps.
 _DELAYS = ("latency", "sensor_latency")
 
@@ -68,7 +69,8 @@ def _list_term_numbers(group: str, terms: Mapping[str, Term]) -> Iterator[Number
 def _list_command_numbers(command: CommandConfig) -> Iterator[Number]:
     for field in (*_COMMAND_UNITS, *_COMMAND_SHARES):
         value = getattr(command, field)
-        if value is None or (field == "spot" and not value):  # programs leave it out
+        # Programs leave it out.
+        if value is None or (field in ("spot", "slow", "still") and not value):
             continue
         yield from _list_field_numbers("command", command, field, _COMMAND_UNITS.get(field, ""))
 

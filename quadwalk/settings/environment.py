@@ -70,6 +70,8 @@ class CommandConfig(Settings, group="env.command"):
     seconds: Seconds  # s, until the next command
     straight: Share = 0.0  # share of commands without lateral velocity and yaw rate
     spot: Share = 0.0  # share of commands to turn on the spot: without a velocity
+    slow: Share = 0.0  # share of commands that are a fifth of one drawn as the others
+    still: NotNegative = 0.0  # m/s and rad/s, commands below both are to stand
     # s, shortest time until the next command, sampled from this to `seconds`; None: `seconds`
     soonest: Seconds | None = None
     # m/s, forward speed from which on the lateral range is zero, after it has shrunk; None: it
@@ -94,10 +96,11 @@ class CommandConfig(Settings, group="env.command"):
                 f"--env.command.soonest is {self.soonest}; expected at most --env.command.seconds, "
                 f"{self.seconds}"
             )
-        if self.standing + self.straight + self.spot > 1.0:
+        if self.standing + self.straight + self.spot + self.slow > 1.0:
             raise UsageError(
                 f"--env.command.standing is {self.standing}, --env.command.straight "
-                f"{self.straight} and --env.command.spot {self.spot}; expected a sum of at most 1"
+                f"{self.straight}, --env.command.spot {self.spot} and --env.command.slow "
+                f"{self.slow}; expected a sum of at most 1"
             )
 
     def scale_to(self, leg: float, foot_speed: float) -> "CommandConfig":
@@ -115,6 +118,7 @@ class CommandConfig(Settings, group="env.command"):
             forward=_scale(self.forward, factor),
             lateral=_scale(self.lateral, factor),
             yaw_rate=_scale(self.yaw_rate, slower),
+            still=round(self.still * factor, 3),
             lateral_until=None if until is None else round(until * factor, 3),
             leg=None,
         )
@@ -140,6 +144,8 @@ class CommandConfig(Settings, group="env.command"):
             yaw_rate=(yaw_rate, yaw_rate),
             standing=0.0,
             spot=0.0,
+            slow=0.0,
+            still=0.0,
             straight=0.0,
             lateral_until=None,
             turning=None,

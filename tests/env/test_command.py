@@ -87,6 +87,21 @@ def test_some_commands_are_to_turn_on_the_spot_as_fast_as_any():
     assert velocities[spot, 2].max() == pytest.approx(high, abs=0.02)
 
 
+def test_slow_commands_are_a_fifth_of_the_others():
+    config = dataclasses.replace(COMMANDS, slow=0.3)
+    changed = (many(config) != many(COMMANDS)).any(axis=1)
+    assert 0.27 < changed.mean() < 0.33
+    np.testing.assert_allclose(many(config)[changed], 0.2 * many(COMMANDS)[changed], rtol=1e-5)
+
+
+def test_commands_that_are_nearly_zero_are_to_stand():
+    config = dataclasses.replace(COMMANDS, still=0.3)
+    before, after = many(COMMANDS), many(config)
+    is_slow = (np.hypot(before[:, 0], before[:, 1]) < 0.3) & (np.abs(before[:, 2]) < 0.3)
+    assert (is_slow & before.any(axis=1)).any()
+    np.testing.assert_array_equal(after, np.where(is_slow[:, None], 0.0, before))
+
+
 def test_some_commands_are_straight_ahead_or_back():
     velocities = many(dataclasses.replace(COMMANDS, straight=0.5))
     standing = ~velocities.any(axis=1)
@@ -102,7 +117,7 @@ def test_some_commands_are_straight_ahead_or_back():
     [
         ({"straight": 1.5}, "env.command.straight is 1.5"),
         ({"straight": 0.9}, "--env.command.standing is 0.2, --env.command.straight 0.9"),
-        ({"spot": 0.9}, "--env.command.straight 0.0 and --env.command.spot 0.9"),
+        ({"spot": 0.9}, "--env.command.spot 0.9 and --env.command.slow 0.0"),
     ],
 )
 def test_shares_are_shares(shares, message):

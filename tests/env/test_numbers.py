@@ -26,6 +26,8 @@ CHANGES = {
     "env.command.turning": 1.0,
     "env.command.standing": 0.0,
     "env.command.spot": 0.5,
+    "env.command.slow": 0.2,
+    "env.command.still": 0.2,
     "env.randomization.friction.0": 1.1,
     "env.randomization.push.1": 0.1,
 }
