@@ -45,8 +45,8 @@ def test_a_page_from_the_source_is_what_the_source_says(name):
     spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    assert module.PAGE.read_text() == module.write_page(), f"expected: python docs/site/{name}.py"
-    assert "|  |" not in module.write_page()  # a setting without a word
+    assert module.PAGE.read_text() == module.format_page(), f"expected: python docs/site/{name}.py"
+    assert "|  |" not in module.format_page()  # a setting without a word
 
 
 def test_the_page_of_settings_has_every_flag_of_a_task_s_terms(capsys):

@@ -48,7 +48,7 @@ classes below are what these return. `import quadwalk.gym` registers the tasks w
 """
 
 
-def write_docstring(documented: Any) -> str:
+def format_docstring(documented: Any) -> str:
     """Return a docstring as Markdown, with each section of arguments as a list."""
     text = inspect.getdoc(documented) or ""
     text = re.sub(r"^(Args|Attributes):$", r"**\1**\n", text, flags=re.MULTILINE)
@@ -57,11 +57,11 @@ def write_docstring(documented: Any) -> str:
     return re.sub(r"^ {4}([\w, ]+): ", r"- `\1`: ", text, flags=re.MULTILINE).strip()
 
 
-def write_signature(name: str, function: Any) -> str:
+def format_signature(name: str, function: Any) -> str:
     """Return the signature of a function, in one line or with a line for each parameter."""
     signature = inspect.signature(function)
     parameters = list_parameters(signature)
-    end = write_return_type(signature)
+    end = format_return_type(signature)
     text = f"{name}({', '.join(parameters)}){end}"
     if len(text) > LONGEST:
         text = f"{name}(\n    " + ",\n    ".join(parameters) + f",\n){end}"
@@ -78,7 +78,7 @@ def list_parameters(signature: inspect.Signature) -> list[str]:
     return texts
 
 
-def write_return_type(signature: inspect.Signature) -> str:
+def format_return_type(signature: inspect.Signature) -> str:
     """Return the arrow and the type at the end of a signature, or "" if it returns nothing."""
     annotation = signature.return_annotation
     if annotation is signature.empty or annotation is None:
@@ -92,44 +92,44 @@ def strip_modules(text: str) -> str:
     return re.sub(r"'([A-Z]\w*)'", r"\1", text)
 
 
-def write_function(name: str, function: Any, level: str = "##") -> str:
+def format_function(name: str, function: Any, level: str = "##") -> str:
     """Return the entry of a function or method: heading, signature and docstring."""
     heading = f"{level} {name.rpartition('.')[2]}"
-    signature = f"```python\n{write_signature(name, function)}\n```"
-    return f"{heading}\n\n{signature}\n\n{write_docstring(function)}"
+    signature = f"```python\n{format_signature(name, function)}\n```"
+    return f"{heading}\n\n{signature}\n\n{format_docstring(function)}"
 
 
-def write_member(owner: type, name: str) -> str:
+def format_member(owner: type, name: str) -> str:
     """Return the entry of a method or property."""
     member = inspect.getattr_static(owner, name)
     if inspect.isfunction(member):
-        return write_function(f"{owner.__name__}.{name}", member, "###")
-    return f"### {name}\n\nA property. {write_docstring(member)}"
+        return format_function(f"{owner.__name__}.{name}", member, "###")
+    return f"### {name}\n\nA property. {format_docstring(member)}"
 
 
-def write_fields(owner: type) -> str:
+def format_fields(owner: type) -> str:
     """Return the list of a dataclass's fields that have a comment."""
     comments = read_comments(owner)
     names = [field.name for field in dataclasses.fields(owner)]
     return "\n".join(f"- `{name}`: {comments[name]}" for name in names if comments[name])
 
 
-def write_class(owner: type, members: tuple[str, ...]) -> str:
+def format_class(owner: type, members: tuple[str, ...]) -> str:
     """Return the entry of a class: docstring, then its fields or these members."""
-    parts = [f"## {owner.__name__}", write_docstring(owner)]
+    parts = [f"## {owner.__name__}", format_docstring(owner)]
     if not members and dataclasses.is_dataclass(owner):
-        parts += filter(None, [write_fields(owner)])
-    parts += [write_member(owner, name) for name in members]
+        parts += filter(None, [format_fields(owner)])
+    parts += [format_member(owner, name) for name in members]
     return "\n\n".join(parts)
 
 
-def write_page() -> str:
+def format_page() -> str:
     """Return the whole page."""
-    functions = [write_function(f"quadwalk.{each.__name__}", each) for each in FUNCTIONS]
-    classes = [write_class(owner, members) for owner, members in CLASSES.items()]
+    functions = [format_function(f"quadwalk.{each.__name__}", each) for each in FUNCTIONS]
+    classes = [format_class(owner, members) for owner, members in CLASSES.items()]
     return "\n\n".join([HEAD.rstrip(), *functions, *classes]) + "\n"
 
 
 if __name__ == "__main__":
-    PAGE.write_text(write_page())
+    PAGE.write_text(format_page())
     print(f"wrote {PAGE}")

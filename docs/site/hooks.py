@@ -57,9 +57,9 @@ def format_outward_link(link: re.Match[str]) -> str:
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that this file makes, and the page in which robots run."""
     contents: dict[str, str | bytes] = {
-        "quickstart.md": write_quickstart(),
+        "quickstart.md": format_quickstart(),
         "changelog.md": read_page_of_root("CHANGELOG.md"),
-        "history.md": write_history(),
+        "history.md": format_history(),
     }
     for path in sorted(NOTEBOOKS.glob("*.ipynb")):
         contents |= convert_notebook(path)
@@ -74,14 +74,14 @@ def read_page_of_root(name: str) -> str:
     return (ROOT / name).read_text().replace("](docs/", "](")
 
 
-def write_quickstart() -> str:
+def format_quickstart() -> str:
     """Return the page of the README's first steps."""
     sections = read_page_of_root("README.md").split("\n## ")
     steps = [section for section in sections if section.startswith(FIRST_STEPS)]
     return "\n## ".join(["# Quickstart\n", *steps])
 
 
-def write_history() -> str:
+def format_history() -> str:
     """Return the page of the studies' history with its links as they are from docs/."""
     history = (ROOT / "studies" / "history.md").read_text().replace("](../docs/", "](")
     return history.replace("](recipe/", "](../studies/recipe/")

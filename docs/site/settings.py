@@ -92,20 +92,20 @@ def read_summary(described: Any) -> str:
     return (inspect.getdoc(described) or "").partition("\n")[0]
 
 
-def write_flag(*names: str) -> str:
+def format_flag(*names: str) -> str:
     """Return the flag of a setting from the names that lead to it; empty names are left out."""
     return "--" + ".".join(filter(None, names)).replace("_", "-")
 
 
-def write_row(cells: Sequence[str]) -> str:
+def format_row(cells: Sequence[str]) -> str:
     """Return a row of a table in Markdown."""
     return f"| {' | '.join(cells)} |"
 
 
-def write_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def format_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return a table in Markdown from the names of its columns and the cells of its rows."""
     rule = f"|{'---|' * len(columns)}"
-    return "\n".join([write_row(columns), rule, *map(write_row, rows)])
+    return "\n".join([format_row(columns), rule, *map(format_row, rows)])
 
 
 def replace_bars(text: str) -> str:
@@ -113,14 +113,14 @@ def replace_bars(text: str) -> str:
     return text.replace("|", "or")
 
 
-def write_group(group: Any) -> str:
+def format_group(group: Any) -> str:
     """Return the heading, the summary and the table of one group's settings."""
     comments = read_comments(group)
     rows = [
-        (f"`{write_flag(group.group, name)}`", format_default(value), replace_bars(comments[name]))
+        (f"`{format_flag(group.group, name)}`", format_default(value), replace_bars(comments[name]))
         for name, value in collect_defaults(group).items()
     ]
-    table = write_table(("flag", "default", "meaning"), rows)
+    table = format_table(("flag", "default", "meaning"), rows)
     return f"## {group.group or 'train'}\n\n{read_summary(group)}\n\n{table}"
 
 
@@ -146,7 +146,7 @@ def format_default(value: Any) -> str:
     return value.name if isinstance(value, Path) else str(value)
 
 
-def write_terms(kind: str) -> str:
+def format_terms(kind: str) -> str:
     """Return the heading, the explanation and the table of all tasks' terms of one kind."""
     heading, explanation = KINDS[kind]
     label = "term" if kind in ("termination", "action") else "flag"
@@ -156,7 +156,7 @@ def write_terms(kind: str) -> str:
         for row in list_term_rows(kind, name, terms)
     ]
     lines = textwrap.fill(explanation.format(noise=NOISE), 100)
-    return f"## {heading}\n\n{lines}\n\n{write_table((label, *TASKS, 'meaning'), rows)}"
+    return f"## {heading}\n\n{lines}\n\n{format_table((label, *TASKS, 'meaning'), rows)}"
 
 
 def collect_terms(kind: str) -> dict[tuple[str, Any], dict[str, Term]]:
@@ -180,7 +180,7 @@ def list_term_rows(kind: str, name: str, terms: dict[str, Term]) -> list[list[st
     meanings |= {number: f"`{number}` of `{name}`" for number in others}
     return [
         [
-            f"`{write_term_label(kind, name, number, values)}`",
+            f"`{format_term_label(kind, name, number, values)}`",
             *(format_number(values.get(task, ABSENT)) for task in TASKS),
             meanings[number],
         ]
@@ -211,13 +211,13 @@ def list_numbers(term: Term) -> dict[str, Any]:
     return numbers | (term.params or {})
 
 
-def write_term_label(kind: str, name: str, number: str, values: dict[str, Any]) -> str:
+def format_term_label(kind: str, name: str, number: str, values: dict[str, Any]) -> str:
     """Return the flag of a term's number, or the name of a term that has no number."""
     if set(values.values()) == {PRESENT}:
         return name
     # A task has one action map, so the flags of its numbers do not name it.
     term = "" if kind == "action" and number else name
-    return write_flag("env", kind, term, number)
+    return format_flag("env", kind, term, number)
 
 
 def format_number(value: Any) -> str:
@@ -225,11 +225,11 @@ def format_number(value: Any) -> str:
     return f"{value:g}" if isinstance(value, int | float) else str(value)
 
 
-def write_page() -> str:
+def format_page() -> str:
     """Return the whole page."""
-    return "\n\n".join([HEAD.rstrip(), *map(write_group, GROUPS), *map(write_terms, KINDS)]) + "\n"
+    return "\n\n".join([HEAD.rstrip(), *map(format_group, GROUPS), *map(format_terms, KINDS)]) + "\n"
 
 
 if __name__ == "__main__":
-    PAGE.write_text(write_page())
+    PAGE.write_text(format_page())
     print(f"wrote {PAGE}")

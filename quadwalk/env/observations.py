@@ -153,7 +153,7 @@ def scan_ahead(
 
 
 def _space_evenly(side: float, spacing: float) -> np.ndarray:
-    """Return places about 0 on a side of that length, m."""
+    """Return evenly spaced coordinates (n,) about 0 on a side of that length, m."""
     gaps = round(side / spacing)
     return spacing * (np.arange(gaps + 1) - gaps / 2)
 
