@@ -227,7 +227,9 @@ def format_number(value: Any) -> str:
 
 def format_page() -> str:
     """Return the whole page."""
-    return "\n\n".join([HEAD.rstrip(), *map(format_group, GROUPS), *map(format_terms, KINDS)]) + "\n"
+    return (
+        "\n\n".join([HEAD.rstrip(), *map(format_group, GROUPS), *map(format_terms, KINDS)]) + "\n"
+    )
 
 
 if __name__ == "__main__":
