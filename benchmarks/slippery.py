@@ -14,10 +14,11 @@ from quadwalk.evaluation.load import load_run
 from quadwalk.evaluation.sweep import Point, measure_points
 from quadwalk.learn.devices import set_up_devices
 from quadwalk.paths import PRETRAINED
+from quadwalk.physics.engines import EngineName
 from quadwalk.runs.directory import Run
 
 FRICTIONS = (0.2, 0.3, 0.4, 0.8)
-ENGINES = ("fast", "mujoco")
+ENGINES: tuple[EngineName, ...] = ("fast", "mujoco")
 SECONDS = 20.0
 DIGITS = 3
 
