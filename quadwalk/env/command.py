@@ -15,7 +15,7 @@ _COMMANDS = 0x636D64
 # Share of the acceleration that friction can give which a turn may need.
 GRIP_USED = 0.5
 # Slow commands are this share of one drawn as the others.
-SLOWED = 0.2
+SLOW_FACTOR = 0.2
 
 
 def start_command(
@@ -95,7 +95,7 @@ def sample_velocity(
     if isinstance(config.slow, jax.Array) or config.slow:
         last = 1.0 - config.straight
         is_slow = (shares[3] >= last - config.slow) & (shares[3] < last)
-        command = jnp.where(is_slow, SLOWED * command, command)
+        command = jnp.where(is_slow, SLOW_FACTOR * command, command)
     if isinstance(config.still, jax.Array) or config.still:
         fastest = jnp.maximum(jnp.linalg.norm(command[:2]), jnp.abs(command[2]))
         command = jnp.where(fastest < config.still, 0.0, command)
