@@ -38,11 +38,11 @@ def measure(name: str, episodes: int) -> dict[str, Any]:
 
     There is a pair of numbers, m/s, for each friction: of the fast engine and of MuJoCo C.
     """
+    points = [Point(friction=friction) for friction in FRICTIONS]
     columns = []
     for engine in ENGINES:
         loaded = load_run(Run(PRETRAINED / name), SECONDS, engine=engine)
         figure = "velocity_error" if loaded.env.config.command.active else "speed"
-        points = [Point(friction=friction) for friction in FRICTIONS]
         results = measure_points(loaded, points, episodes, seed=0)
         columns.append([round(result[figure]["mean"], DIGITS) for result in results])
     label = ", m/s" if figure == "speed" else ", velocity error, m/s"

@@ -8,7 +8,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from quadwalk.env.state import Command
-from quadwalk.settings.environment import CommandConfig
+from quadwalk.settings.environment import CommandConfig, is_on
 
 # Folded into the key of an episode's start, for the keys of its commands.
 _COMMANDS = 0x636D64
@@ -81,7 +81,7 @@ def sample_velocity(
     shares = jax.random.uniform(key, (4,))
     low, high = _to_array([config.forward, config.lateral, config.yaw_rate]).T
     command = low + ((1.0 + config.margin) * (shares[:3] - 0.5) + 0.5) * (high - low)
-    if isinstance(config.spot, jax.Array) or config.spot:
+    if is_on(config.spot):
         turns = (shares[3] >= config.standing) & (shares[3] < config.standing + config.spot)
         command = command.at[:2].multiply(~turns)
     speed = jnp.abs(command[0])
@@ -92,11 +92,11 @@ def sample_velocity(
         share = _compute_max_yaw_rate(config, speed, grip) / fastest
         command = command.at[2].multiply(jnp.minimum(share, 1.0))
     command = jnp.where(shares[3] < 1.0 - config.straight, command, command.at[1:].set(0.0))
-    if isinstance(config.slow, jax.Array) or config.slow:
+    if is_on(config.slow):
         last = 1.0 - config.straight
         is_slow = (shares[3] >= last - config.slow) & (shares[3] < last)
         command = jnp.where(is_slow, SLOW_FACTOR * command, command)
-    if isinstance(config.still, jax.Array) or config.still:
+    if is_on(config.still):
         fastest = jnp.maximum(jnp.linalg.norm(command[:2]), jnp.abs(command[2]))
         command = jnp.where(fastest < config.still, 0.0, command)
     command = jnp.where(shares[3] < config.standing, 0.0, command)

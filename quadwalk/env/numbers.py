@@ -69,7 +69,7 @@ def _list_term_numbers(group: str, terms: Mapping[str, Term]) -> Iterator[Number
 def _list_command_numbers(command: CommandConfig) -> Iterator[Number]:
     for field in (*_COMMAND_UNITS, *_COMMAND_SHARES):
         value = getattr(command, field)
-        # Programs leave it out.
+        # Programs leave these out where they are 0.
         if value is None or (field in ("spot", "slow", "still") and not value):
             continue
         yield from _list_field_numbers("command", command, field, _COMMAND_UNITS.get(field, ""))

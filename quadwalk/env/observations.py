@@ -128,7 +128,7 @@ def height_scan(
     The points are `spacing` m apart in a rectangle about the trunk's origin, turned with its
     heading: rows from behind to ahead, in each from the right to the left.
     """
-    ahead, left = _space_evenly(length, spacing), _space_evenly(width, spacing)
+    ahead, left = _make_coordinates(length, spacing), _make_coordinates(width, spacing)
     return _scan_ground(robot, state, ahead, left, reach)
 
 
@@ -148,18 +148,20 @@ def scan_ahead(
     reach: float,
 ) -> jax.Array:
     """`height_scan` (n,) from `first` to `last`, m ahead of the trunk's origin; < 0 is behind."""
-    ahead = (first + last) / 2 + _space_evenly(last - first, spacing)
-    return _scan_ground(robot, state, ahead, _space_evenly(width, spacing), reach)
+    ahead = (first + last) / 2 + _make_coordinates(last - first, spacing)
+    return _scan_ground(robot, state, ahead, _make_coordinates(width, spacing), reach)
 
 
-def _space_evenly(side: float, spacing: float) -> np.ndarray:
+def _make_coordinates(side: float, spacing: float) -> np.ndarray:
     """Return evenly spaced coordinates (n,) about 0 on a side of that length, m."""
     gaps = round(side / spacing)
     return spacing * (np.arange(gaps + 1) - gaps / 2)
 
 
 def _make_scan_mirror(length: float, width: float, spacing: float) -> Mirror:
-    return make_grid_mirror(_space_evenly(length, spacing).size, _space_evenly(width, spacing).size)
+    return make_grid_mirror(
+        _make_coordinates(length, spacing).size, _make_coordinates(width, spacing).size
+    )
 
 
 def _scan_ground(

@@ -156,7 +156,12 @@ class CommandConfig(Settings, group="env.command"):
     def active(self) -> bool:
         """True if velocities are commanded: some range is not 0, or may change in a program."""
         ends = (*self.forward, *self.lateral, *self.yaw_rate)
-        return any(isinstance(end, jax.Array) or end for end in ends)
+        return any(is_on(end) for end in ends)
+
+
+def is_on(number: Any) -> bool:
+    """Return True if a number of a command is not 0, or may change in a program."""
+    return isinstance(number, jax.Array) or bool(number)
 
 
 def _scale(ends: Pair, factor: float) -> Pair:
