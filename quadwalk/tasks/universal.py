@@ -8,9 +8,8 @@ from dataclasses import replace
 from quadwalk.env import rewards
 from quadwalk.env.actions import ABOUT_STANDARD
 from quadwalk.env.observations import BODY
-from quadwalk.env.terminations import FALLS, TRUNK_FALLS, touched
 from quadwalk.settings.environment import BodiesConfig
-from quadwalk.settings.terms import Reward, Termination
+from quadwalk.settings.terms import Reward
 from quadwalk.tasks import drive
 
 TASK = replace(
@@ -30,15 +29,6 @@ TASK = replace(
             "fidget": Reward(rewards.fidget, scale=-8.0),
             "crouch": Reward(rewards.crouch, {"slow": 0.8}, scale=-4.0),
             "cost_of_transport": Reward(rewards.cost_of_transport, {"slow": 0.15}, scale=-1.0),
-            "kneel": Reward(rewards.kneel, {"height": 0.01}, scale=-1.0),
-        },
-        # Shins end so close to the ground in some files that they brush it at each bend of a knee.
-        # That is a cost, and no fall until they are deeper than any floor gives way.
-        termination={
-            "tipped": FALLS["tipped"],
-            "low": FALLS["low"],
-            "trunk_touched": TRUNK_FALLS["trunk_touched"],
-            "touched": Termination(touched, {"clearance": -0.03}),
         },
         # That of the AlienGo, so that all numbers mean what they mean in `drive`.
         unit_leg=0.5,
