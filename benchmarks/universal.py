@@ -4,7 +4,7 @@
 
 A row for each URDF or MJCF, such as those of docs/zoo.md; without FILE the robot of the run, which
 may be a `drive`. Episodes of 20 s in MuJoCo C with every shape colliding and everything drawn;
-commands change as in training. A run of `universal_getup` is asked for the share of random poses
+commands change as in training, and a fall is one of the trunk. A run of `universal_getup` is asked for the share of random poses
 from which the robot gets up. The last column says what of the robot is beyond the bodies trained
 on. To see that it works: --episodes 2.
 """
@@ -19,6 +19,7 @@ from benchmarks.shared import format_row, make_parser
 from quadwalk.cli.process import run_command
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.nearness import list_figures
+from quadwalk.env.terminations import TRUNK_FALLS
 from quadwalk.errors import UserError
 from quadwalk.evaluation.load import load_run
 from quadwalk.evaluation.results import evaluate_policy
@@ -71,6 +72,7 @@ def drive_robot(run: Run, file: Path | None, episodes: int) -> list[str]:
     Raises `UserError` for a file that is refused.
     """
     loaded = to_changing_run(load_run(run, LONG, robot=find_robot(file)))
+    loaded = loaded.to_mujoco(termination=TRUNK_FALLS)
     results = evaluate_policy(loaded, episodes, seed=0).episodes
     falls = np.mean([episode["fell"] for episode in results])
     errors = [

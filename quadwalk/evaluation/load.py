@@ -34,6 +34,7 @@ from quadwalk.settings.environment import (
     EnvConfig,
     RandomizationConfig,
 )
+from quadwalk.settings.terms import Termination
 from quadwalk.settings.training import RobotConfig
 from quadwalk.terrain.terrain import GroundConfig
 
@@ -153,6 +154,17 @@ def make_unseen_ground(trained: GroundConfig, seed: int, levels: int = 3) -> Gro
     )
 
 
+def _choose_falls(trained: EnvConfig, ground: GroundConfig) -> dict[str, Termination]:
+    """Return what is a fall in an evaluation on `ground`, of a policy of the settings `trained`.
+
+    Where shins may touch the ground only the trunk counts: on edges that training did not have, and
+    for robots whose shins end so close to the floor that they brush it at each bend of a knee.
+    """
+    is_new_ground = trained.ground.flat and not ground.flat
+    may_touch = is_new_ground or trained.unit_leg is not None
+    return TRUNK_FALLS if trained.termination and may_touch else trained.termination
+
+
 def load_run(
     run: Run,
     seconds: float,
@@ -170,7 +182,8 @@ def load_run(
     episode samples from the `make_evaluation_ranges`. A velocity command holds for a whole episode,
     so that the episode has one gait; it is `command` (forward and lateral velocity, m/s, and yaw
     rate, rad/s), or drawn from the training ranges. The ground is `ground`, or `make_unseen_ground`
-    of `seed`. A policy of a flat floor falls on uneven ground only if its trunk touches it.
+    of `seed`. A policy of a flat floor falls on uneven ground only if its trunk touches it, and so
+    does a policy of many bodies.
 
     A policy of many bodies may drive another `robot` than the run's. Raises `UserError` where
     policy or robot cannot be read, or do not match.
@@ -195,7 +208,6 @@ def load_run(
         commands = commands.hold_at(*command)
     if ground is None:
         ground = make_unseen_ground(trained.ground, seed)
-    is_new_ground = trained.ground.flat and not ground.flat
     config = dataclasses.replace(
         trained,
         episode_seconds=seconds,
@@ -204,7 +216,7 @@ def load_run(
         command=commands,
         randomization=make_evaluation_ranges(trained, randomized),
         ground=ground,
-        termination=TRUNK_FALLS if is_new_ground else trained.termination,
+        termination=_choose_falls(trained, ground),
     )
     env = QuadrupedEnv(quadruped, config, engine)
     has_its_robot = robot is not None or quadruped.joints == policy.joints

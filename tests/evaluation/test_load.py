@@ -145,3 +145,10 @@ def test_runs_of_before_tasks_named_a_suite_have_that_of_their_task(task, tmp_pa
     data = to_dict(config)
     assert data.pop("suite") == config.suite
     assert restore_config(data, Run(tmp_path), "config.json").suite == config.suite
+
+
+def test_a_policy_of_many_bodies_falls_by_its_trunk_alone_and_one_that_gets_up_never():
+    env = load_run(Run(PRETRAINED / "universal"), 1.0, engine="fast").env
+    assert env.ends == ("running", "time limit", *TRUNK_FALLS, "nan")
+    env = load_run(Run(PRETRAINED / "universal_getup"), 1.0, engine="fast").env
+    assert env.ends == ("running", "time limit", "nan")
