@@ -73,7 +73,7 @@ def drive_robot(run: Run, file: Path | None, episodes: int) -> list[str]:
     """
     loaded = to_changing_run(load_run(run, LONG, robot=find_robot(file)))
     loaded = loaded.to_mujoco(termination=TRUNK_FALLS)
-    results = evaluate_policy(loaded, episodes, seed=0).episodes
+    results = evaluate_policy(loaded, episodes, seed=0, keep=0).episodes
     falls = np.mean([episode["fell"] for episode in results])
     errors = [
         np.nanmean([np.nan if episode[key] is None else episode[key] for episode in results])

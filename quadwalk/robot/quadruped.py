@@ -121,12 +121,14 @@ class Quadruped:
 
 
 def _delete_visuals(spec: mujoco.MjSpec) -> None:
-    """Delete visual geoms, and the materials and textures of the others."""
+    """Delete visual geoms and their meshes, and the materials and textures of the others."""
     for geom in list(spec.geoms):
         geom.material = ""
         if geom.classname.name == "visual":
             spec.delete(geom)
-    for element in [*spec.materials, *spec.textures]:
+    collision_meshes = {geom.meshname for geom in spec.geoms}
+    visual_meshes = [mesh for mesh in spec.meshes if mesh.name not in collision_meshes]
+    for element in [*spec.materials, *spec.textures, *visual_meshes]:
         spec.delete(element)
 
 

@@ -1,5 +1,6 @@
 """The robot that environments get: names, limits, the standing pose, and the two models."""
 
+import dataclasses
 import re
 
 import mujoco
@@ -213,6 +214,20 @@ def test_both_models_are_of_one_robot(quadruped):
     for model, iterations in ((training, (1, 5)), (full, (100, 50))):
         assert model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
         assert (model.opt.iterations, model.opt.ls_iterations) == iterations
+
+
+def test_a_model_without_visuals_has_the_meshes_of_collisions_alone(quadruped):
+    spec = quadruped.spec.copy()
+    corners = [0, 0, 0, 0.1, 0, 0, 0, 0.1, 0, 0, 0, 0.1]
+    for kind in ("visual", "collision"):
+        spec.add_mesh(name=kind, uservert=corners)
+        spec.body(quadruped.trunk).add_geom(
+            spec.find_default(kind), type=mujoco.mjtGeom.mjGEOM_MESH, meshname=kind
+        )
+    robot = dataclasses.replace(quadruped, spec=spec)
+    models = [robot.make_full_model(visuals=visuals) for visuals in (True, False)]
+    names = [[model.mesh(i).name for i in range(model.nmesh)] for model in models]
+    assert names == [["visual", "collision"], ["collision"]]
 
 
 def test_qpos_qvel_and_ctrl_are_in_the_order_of_the_joints(quadruped):
