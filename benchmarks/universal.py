@@ -4,9 +4,9 @@
 
 A row for each URDF or MJCF, such as those of docs/zoo.md; without FILE the robot of the run, which
 may be a `drive`. Episodes of 20 s in MuJoCo C with every shape colliding and everything drawn;
-commands change as in training, and a fall is one of the trunk. A run of `universal_getup` is asked for the share of random poses
-from which the robot gets up. The last column says what of the robot is beyond the bodies trained
-on. To see that it works: --episodes 2.
+commands change as in training, and a fall is one of the trunk. A run of `universal_getup` is asked
+for the share of random poses from which the robot gets up. The last column says what of the robot
+is beyond the bodies trained on. To see that it works: --episodes 2.
 """
 
 from collections.abc import Callable, Sequence
