@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+import math
+
 import jax
 import jax.numpy as jnp
 
@@ -52,6 +54,11 @@ class TanhNormal(NamedTuple):
 def compute_std(raw_std: jax.Array, scale: float) -> jax.Array:
     """Return the standard deviations that a policy's raw ones stand for."""
     return (jax.nn.softplus(raw_std) + MIN_STD) * scale
+
+
+def compute_raw_std(share: float) -> float:
+    """Return the raw standard deviation that stands for `share` of what 0 stands for."""
+    return math.log(math.expm1(share * (math.log(2.0) + MIN_STD) - MIN_STD))
 
 
 def _compute_log_slope(raw_action: jax.Array) -> jax.Array:

@@ -108,15 +108,18 @@ def assert_same_actions(networks, learner, observation, policy, before, atol=1e-
     np.testing.assert_allclose(act(plain, observation), act(policy, before) * signs, atol=atol)
 
 
-def test_it_acts_as_the_run_does_and_as_randomly_as_at_a_start(source):
+@pytest.mark.parametrize(("name", "share"), [("another", 1.0), ("run", 0.5)])
+def test_it_acts_as_the_run_does_and_in_the_same_task_half_as_randomly(source, name, share):
     run, config, env, *_, policy = source
+    config = dataclasses.replace(config, task=name)
     networks, learner, notes = warm_start(run, config, env)
     assert notes == []
     observation = sample_normal(9, env.observation_size)
     assert_same_actions(networks, learner, observation, policy, observation)
     parts = networks.normalize(learner.normalizer, jnp.float32(observation))
     std = networks.apply_policy(learner.params.policy, parts).std
-    np.testing.assert_allclose(std, config.ppo.init_std + 0.001 * networks.std_scale, rtol=1e-5)
+    start = config.ppo.init_std + 0.001 * networks.std_scale
+    np.testing.assert_allclose(std, share * start, rtol=1e-5)
 
 
 def test_what_is_new_changes_no_action_and_what_is_seen_in_another_order_is_found(source):
