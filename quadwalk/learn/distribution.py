@@ -1,8 +1,7 @@
 """The distribution of actions: normal, and squashed by tanh."""
 
-from typing import NamedTuple
-
 import math
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp

@@ -53,8 +53,8 @@ def warm_start_from(
     Observations are matched by name, those of joints by the joint's place and the way it turns.
     Legs whose knees point the other way move their feet alike. Networks of many bodies become those
     of this robot. A new observation has weights of zero, so that the policy acts as it did. Actions
-    are as random as at a start, in the same task `KNOWN_NOISE` of that. A run without a checkpoint gives its policy alone. Raises a
-    `UserError` for networks that cannot be taken over.
+    are as random as at a start, and in the same task `KNOWN_NOISE` of that. A run without a
+    checkpoint gives its policy alone. Raises a `UserError` for networks that cannot be taken over.
     """
     notes: list[str] = []
     path = find_latest_checkpoint(source, notes.append)
