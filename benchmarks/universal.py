@@ -71,8 +71,8 @@ def drive_robot(run: Run, file: Path | None, episodes: int) -> list[str]:
 
     Raises `UserError` for a file that is refused.
     """
-    loaded = to_changing_run(load_run(run, LONG, robot=find_robot(file)))
-    loaded = loaded.to_mujoco(termination=TRUNK_FALLS)
+    loaded = load_run(run, LONG, robot=find_robot(file))
+    loaded = to_changing_run(loaded, termination=TRUNK_FALLS)
     results = evaluate_policy(loaded, episodes, seed=0, keep=0).episodes
     falls = np.mean([episode["fell"] for episode in results])
     errors = [

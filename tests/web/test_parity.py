@@ -165,17 +165,13 @@ def test_the_robot_of_a_file_is_thrown_over_gets_up_and_drives_on(tmp_path, run_
     job = {**locate_robot(tmp_path, "universal"), "getup": str(getup)}
     throws = [
         {"steps": at + 250, "settle": at + 225, "command": [1.0, 0, 0], "throwAt": at}
-        for at in range(50, 70, 5)
+        for at in range(44, 60, 4)
     ]
-    results = run_node({**job, "episodes": throws})
-    for result in results:
+    for result in run_node({**job, "episodes": throws}):
+        assert result["rising"] > 10
         assert result["isStanding"]
         assert result["velocity"][0] == pytest.approx(1.0, abs=0.15)
         assert result["events"] == []
-    # A throw may end on its feet.
-    fallen = [result for result in results if result["fell"]]
-    assert len(fallen) >= 3
-    assert all(result["rising"] > 10 for result in fallen)
 
 
 def test_it_climbs_stairs_that_it_sees(robot_files, run_node):

@@ -49,13 +49,17 @@ NEAR = 0.1  # of a change: a response that stays so near its end has arrived
 WORST = 6  # commands in the table, those followed worst
 
 
-def to_changing_run(loaded: LoadedRun) -> LoadedRun:
-    """Return `loaded` in MuJoCo C, randomized, with commands that change as in training."""
+def to_changing_run(loaded: LoadedRun, **changes: Any) -> LoadedRun:
+    """Return `loaded` in MuJoCo C, randomized, with commands that change as in training.
+
+    `changes` are others of the settings in `env`.
+    """
     trained = loaded.policy.config.env
     return loaded.to_mujoco(
         command=dataclasses.replace(trained.command, margin=0.0),
         randomization=make_evaluation_ranges(trained, enabled=True),
         episode_seconds=LONG,
+        **changes,
     )
 
 
