@@ -89,6 +89,10 @@ class Networks(NamedTuple):
         policy_statistics = NestedMeanStd(statistics.mean[:size], statistics.std[:size])
         return policy_statistics, to_plain(params, self.policy_obs, self.outputs)
 
+    def to_plain_value(self, params: Any) -> Any:
+        """Return the weights of the value network as those of a plain network."""
+        return to_plain(params, self.critic_obs, self.value_output)
+
     @property
     def value_output(self) -> Basis:
         """The basis of the value network's output: a number that a mirror does not change."""

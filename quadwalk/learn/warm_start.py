@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -26,13 +25,11 @@ from quadwalk.learn.one_robot import (
 )
 from quadwalk.learn.ppo import Learner
 from quadwalk.learn.statistics import compute_scale
-from quadwalk.learn.symmetric import to_plain, to_symmetric
+from quadwalk.learn.symmetric import to_symmetric
 from quadwalk.robot.load import load_robot
 from quadwalk.robot.mirror import NotSymmetric, RobotMirror, compute_home_axes, make_mirror
-from quadwalk.runs import checkpoint
-from quadwalk.runs.directory import Run, find_latest_checkpoint
-from quadwalk.runs.policy import collect_layers, read_policy
-from quadwalk.runs.resume import read_config
+from quadwalk.runs.directory import Run
+from quadwalk.runs.policy import read_policy
 from quadwalk.settings.environment import EnvConfig
 from quadwalk.settings.terms import ActionMap
 from quadwalk.settings.training import TrainConfig
@@ -48,19 +45,19 @@ CRITIC = "critic "  # before the names of observations that the value network al
 def warm_start_from(
     source: Run, config: TrainConfig, env: QuadrupedEnv, networks: Networks, learner: Learner
 ) -> tuple[Learner, list[str]]:
-    """Return `learner` with the networks of a run's newest checkpoint, and notes on differences.
+    """Return `learner` with the networks of a run's newest policy, and notes on differences.
 
     Observations are matched by name, those of joints by the joint's place and the way it turns.
     Legs whose knees point the other way move their feet alike. Networks of many bodies become those
     of this robot. A new observation has weights of zero, so that the policy acts as it did. Actions
-    are as random as at a start, and in the same task `KNOWN_NOISE` of that. A run without a
-    checkpoint gives its policy alone. Raises a `UserError` for networks that cannot be taken over.
+    are as random as at a start, and in the same task `KNOWN_NOISE` of that. Raises a
+    `UserError` for networks that cannot be taken over.
     """
     notes: list[str] = []
-    path = find_latest_checkpoint(source, notes.append)
-    if path is None and not source.policy.exists():
-        raise UserError(f"--init: {source.path} has no checkpoint; expected a run that was saved")
-    source_config = read_policy(source.policy).config if path is None else read_config(source)
+    if not source.policy.exists():
+        raise UserError(f"--init: {source.path} has no policy; expected a run that was saved")
+    saved = read_policy(source.policy)
+    source_config = saved.config
     for name in ("hidden", "activation"):
         value, source_value = getattr(config.ppo, name), getattr(source_config.ppo, name)
         if value != source_value:
@@ -74,12 +71,14 @@ def warm_start_from(
             f"--init: {source.path} has networks that are not symmetric; expected "
             "--ppo.no-symmetric as well"
         )
-    plain, statistics = read_networks(source, path, source_networks)
+    plain, statistics = {"policy": saved.weights}, saved.statistics
+    if saved.value is not None:
+        plain["value"], statistics = saved.value.weights, saved.value.statistics
     is_of_many = source_config.env.unit_leg is not None and config.env.unit_leg is None
     if is_of_many:
         source_env, plain, statistics = take_robot(env, source_config.env, plain, statistics)
     names, source_names = name_observations(env), name_observations(source_env)
-    # The statistics of a policy alone are those of the first observations.
+    # Without a value network the statistics are those of the policy's observations, the first.
     columns = {name: i for i, name in enumerate(list(source_names)[: len(statistics.mean)])}
     rows = np.array([columns.get(name, -1) for name in names])
     turn, turn_action = compute_turns(env, source_env, list(names))
@@ -105,7 +104,7 @@ def warm_start_from(
             value=to_symmetric(value, networks.critic_obs, networks.value_output)
         )
     else:
-        notes.append(f"--init: {source.path} has a policy alone: the value network is a new one")
+        notes.append(f"--init: {source.policy} has no value network: a new one is trained")
     assert config.envs is not None
     count = COUNTED * config.envs * config.ppo.unroll
     normalizer = change_statistics(learner.normalizer, statistics, rows, turn, count)
@@ -141,31 +140,6 @@ def take_robot(
     both = join_translations(observation, translate_observations(many, one, "critic"))
     networks["value"], statistics = to_one_robot(plain["value"], statistics, both)
     return one, networks, statistics
-
-
-def read_networks(
-    source: Run, path: Path | None, networks: Networks
-) -> tuple[dict[str, Any], NestedMeanStd]:
-    """Return the plain networks of the run `source`, and its statistics.
-
-    They are from the checkpoint `path`; None: from the policy's file, without a value network.
-    """
-    if path is None:
-        leaves, _ = checkpoint.load(source.policy, "policy")
-        plain = {"policy": {"params": collect_layers(leaves, "policy/params/")}}
-        prefix = "normalizer"
-    else:
-        leaves, _ = checkpoint.load(path, "checkpoint")
-        policy, value = (
-            {"params": collect_layers(leaves, f"learner/params/{name}/params/")}
-            for name in ("policy", "value")
-        )
-        plain = {
-            "policy": to_plain(policy, networks.policy_obs, networks.outputs),
-            "value": to_plain(value, networks.critic_obs, networks.value_output),
-        }
-        prefix = "learner/normalizer"
-    return plain, NestedMeanStd(leaves[f"{prefix}/mean"], leaves[f"{prefix}/std"])
 
 
 def name_observations(env: QuadrupedEnv) -> dict[str, str]:

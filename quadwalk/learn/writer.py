@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from quadwalk.brax import NestedMeanStd
 from quadwalk.errors import UserError
 from quadwalk.learn import nan
 from quadwalk.learn.prepare import Training
@@ -12,7 +13,7 @@ from quadwalk.runs import checkpoint
 from quadwalk.runs.changes import describe_changes
 from quadwalk.runs.directory import Run, delete_checkpoints_after, prune_checkpoints
 from quadwalk.runs.log import MetricsLog, read_history
-from quadwalk.runs.policy import load_score, save_policy
+from quadwalk.runs.policy import SavedValue, load_score, save_policy
 from quadwalk.runs.wandb import WandbLog
 from quadwalk.settings.serialize import to_dict
 
@@ -145,15 +146,17 @@ class RunWriter:
 
     def _save_policy(self, path: Path, state: Any, steps: int) -> None:
         """Save the policy in `state`, after `steps` of training, to `path`."""
-        training = self._training
+        training, networks, learner = self._training, self._training.networks, state.learner
+        statistics = NestedMeanStd(learner.normalizer.mean, learner.normalizer.std)
         save_policy(
             path,
-            *training.networks.to_plain(state.learner.normalizer, state.learner.params.policy),
+            *networks.to_plain(statistics, learner.params.policy),
             training.config,
             training.quadruped.joints,
             steps,
             training.metrics.score,
             describe_changes(training.start, training.config),
+            SavedValue(statistics, networks.to_plain_value(learner.params.value)),
         )
 
     def _read_best(self) -> None:

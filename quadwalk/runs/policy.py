@@ -1,10 +1,10 @@
 """A trained policy as a file: its weights, and the configuration it was trained with."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -18,6 +18,15 @@ from quadwalk.runs.resume import restore_config
 from quadwalk.settings.serialize import to_dict
 from quadwalk.settings.training import TrainConfig
 
+VALUE_MEAN = "value/statistics/mean"  # a file's array that tells how many inputs the network has
+
+
+class SavedValue(NamedTuple):
+    """The value network of a policy, with which a training goes on from it."""
+
+    statistics: NestedMeanStd  # (m,) of the observations that it sees: the policy's, then its own
+    weights: Any  # {"params": layers of a plain perceptron}
+
 
 @dataclass(frozen=True)
 class SavedPolicy:
@@ -25,6 +34,7 @@ class SavedPolicy:
 
     statistics: NestedMeanStd  # (n,) of the observations
     weights: Any  # {"params": layers of a plain perceptron}
+    value: "SavedValue | None"  # None in files of before
     config: TrainConfig
     joints: tuple[str, ...]  # of the robot it was trained on
     steps: int  # control steps of training behind it
@@ -41,8 +51,9 @@ def save_policy(
     steps: int,
     score: float,
     changed: Mapping[str, Any] | None = None,
+    value: SavedValue | None = None,
 ) -> None:
-    """Write a policy to `path`, atomically.
+    """Write a policy, and its value network if there is one, to `path`, atomically.
 
     `statistics` (n,) are those of the policy's observations, `weights` those of a plain perceptron.
     `joints` are the names of the robot's joints. `steps` are the control steps of its training.
@@ -58,13 +69,16 @@ def save_policy(
         "score": score,
         "desk": dict(changed or {}),
     }
-    checkpoint.save(path, {"normalizer": statistics, "policy": weights}, metadata)
+    tree = {"normalizer": statistics, "policy": weights}
+    if value is not None:
+        tree["value"] = value._asdict()
+    checkpoint.save(path, tree, metadata)
 
 
 def read_policy(path: Path) -> SavedPolicy:
     """Read a policy's file; raise a `UserError` that names one missing, damaged or foreign."""
-    # First without a structure, for the metadata that says what the structure is.
-    _, metadata = checkpoint.load(path, "policy")
+    # First without a structure, for what says what the structure is.
+    leaves, metadata = checkpoint.load(path, "policy")
     try:
         config = restore_config(metadata["config"], Run(path.parent), str(path))
         size = int(metadata["observation_size"])
@@ -73,19 +87,31 @@ def read_policy(path: Path) -> SavedPolicy:
         changed = dict(metadata.get("desk", {}))  # policies of before have none
     except (*DAMAGE, UserError) as error:
         raise UserError(f"{path} holds a configuration that cannot be used: {error}") from None
-    statistics = jax.ShapeDtypeStruct((size,), np.float32)
+    statistics, weights = describe_network(size, config.ppo.hidden, 2 * len(joints))
+    like = {"normalizer": statistics, "policy": weights}
+    if VALUE_MEAN in leaves:
+        inputs = leaves[VALUE_MEAN].size
+        like["value"] = SavedValue(*describe_network(inputs, config.ppo.hidden, 1))._asdict()
+    tree, _ = checkpoint.load(path, "policy", like)
+    value = SavedValue(**tree["value"]) if "value" in tree else None
+    return SavedPolicy(tree["normalizer"], tree["policy"], value, config, joints, steps, changed)
+
+
+def describe_network(
+    inputs: int, hidden: Sequence[int], outputs: int
+) -> tuple[NestedMeanStd, dict[str, Any]]:
+    """Return shapes of the statistics of a network's inputs, and of the network's weights."""
+    statistics = jax.ShapeDtypeStruct((inputs,), np.float32)
     # Written out: to have Flax say it takes as long as all the rest.
-    sizes = (size, *config.ppo.hidden, 2 * len(joints))
+    sizes = (inputs, *hidden, outputs)
     layers = {
         f"hidden_{number}": {
-            "bias": jax.ShapeDtypeStruct((outputs,), np.float32),
-            "kernel": jax.ShapeDtypeStruct((inputs, outputs), np.float32),
+            "bias": jax.ShapeDtypeStruct((after,), np.float32),
+            "kernel": jax.ShapeDtypeStruct((before, after), np.float32),
         }
-        for number, (inputs, outputs) in enumerate(itertools.pairwise(sizes))
+        for number, (before, after) in enumerate(itertools.pairwise(sizes))
     }
-    like = {"normalizer": NestedMeanStd(statistics, statistics), "policy": {"params": layers}}
-    tree, _ = checkpoint.load(path, "policy", like)
-    return SavedPolicy(tree["normalizer"], tree["policy"], config, joints, steps, changed)
+    return NestedMeanStd(statistics, statistics), {"params": layers}
 
 
 def load_score(path: Path) -> tuple[int, float]:

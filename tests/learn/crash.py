@@ -45,6 +45,7 @@ def make_training(steps: int) -> SimpleNamespace:
                 NestedMeanStd(normalizer.mean, normalizer.std),
                 params,
             ),
+            to_plain_value=lambda params: params,
         ),
         metrics=SimpleNamespace(score=0.0, get_state=dict),
         steps=steps,

@@ -14,6 +14,7 @@ import pytest
 import toy
 from brax.training.acme import running_statistics
 
+from quadwalk.brax import NestedMeanStd
 from quadwalk.env.actions import about_home
 from quadwalk.env.env import QuadrupedEnv
 from quadwalk.env.observations import offset
@@ -26,7 +27,7 @@ from quadwalk.learn.warm_start import warm_start_from
 from quadwalk.robot.quadruped import load_quadruped
 from quadwalk.runs import checkpoint
 from quadwalk.runs.directory import Run, create_run
-from quadwalk.runs.policy import save_policy
+from quadwalk.runs.policy import SavedValue, save_policy
 from quadwalk.runs.resume import make_run
 from quadwalk.settings.terms import ActionMap, Observation
 from quadwalk.settings.training import TrainConfig
@@ -91,9 +92,9 @@ def source(request, tmp_path_factory):
         mean, std = (mean + mirror(mean)) / 2, (std + std[mirror.source]) / 2
     learner = learner._replace(normalizer=learner.normalizer.replace(mean=mean, std=std))
     run = make_run(config, quadruped)
-    state = ppo.TrainState(learner, {"x": np.zeros(1)})
-    checkpoint.save(run.locate_checkpoint(10), state, {"kind": "checkpoint", "mirrors": None})
     policy = networks.to_plain(learner.normalizer, learner.params.policy)
+    value = SavedValue(NestedMeanStd(mean, std), networks.to_plain_value(learner.params.value))
+    save_policy(run.policy, *policy, config, quadruped.joints, 10, 0.0, value=value)
     return Source(run, config, env, networks, learner, policy)
 
 
@@ -291,21 +292,20 @@ def test_networks_of_another_shape_or_kind_are_refused(source):
         warm_start(run, other_config, env)
 
 
-def test_a_run_without_a_checkpoint_is_refused(source, tmp_path):
+def test_a_run_that_was_not_saved_is_refused(source, tmp_path):
     _, config, env, *_ = source
-    with pytest.raises(UserError, match="has no checkpoint"):
+    with pytest.raises(UserError, match="has no policy"):
         warm_start(create_run(tmp_path, "empty", files={}), config, env)
 
 
 def test_a_run_with_a_policy_alone_gives_that(source, tmp_path):
     run, config, env, *_, policy = source
-    shutil.copytree(run.path, tmp_path / "alone", ignore=lambda *_: ["checkpoints"])
-    alone = Run(tmp_path / "alone")
+    alone = Run(tmp_path)
+    shutil.copyfile(run.urdf, alone.urdf)
     save_policy(alone.policy, *policy, config, env.quadruped.joints, 10, 0.0)
-    alone.config.unlink()  # as those that come with the package
     networks, fresh = make_learner(env, config, 6)
     learner, notes = warm_start_from(alone, config, env, networks, fresh)
-    assert notes == [f"--init: {alone.path} has a policy alone: the value network is a new one"]
+    assert notes == [f"--init: {alone.policy} has no value network: a new one is trained"]
     observations = sample_normal(9, env.observation_size)
     assert_same_actions(networks, learner, observations, policy, observations)
     jax.tree.map(np.testing.assert_array_equal, learner.params.value, fresh.params.value)
@@ -320,9 +320,9 @@ class Other(toy.Toy):
 def test_a_training_begins_so_and_goes_on_without_its_source(
     tmp_path, flags, train, same_result, capsys, monkeypatch
 ):
-    def load_kernel(name, steps):
+    def load_kernel(name, steps, network):
         leaves, _ = checkpoint.load(Run(tmp_path / name).locate_checkpoint(steps), "checkpoint")
-        return leaves["learner/params/policy/params/hidden_0/kernel"]
+        return leaves[f"learner/params/{network}/params/hidden_0/kernel"]
 
     train(*flags(tmp_path, "source", 2))
     monkeypatch.setattr("quadwalk.learn.prepare.QuadrupedEnv", Other)
@@ -331,10 +331,10 @@ def test_a_training_begins_so_and_goes_on_without_its_source(
     assert f"begins with the networks of {tmp_path / 'source'}" in output
     assert "--init: other: is new to these networks" in output
     # The first iteration measures what is seen; what is new is learnt after that.
-    np.testing.assert_array_equal(
-        load_kernel("begun", 64), load_kernel("source", 128) * [[1], [0], [1]]
-    )
-    assert np.all(load_kernel("begun", 192)[1] != 0.0)
+    for network in ("policy", "value"):
+        source, begun = load_kernel("source", 128, network), load_kernel("begun", 64, network)
+        np.testing.assert_array_equal(begun, source * [[1], [0], [1]])
+        assert np.all(load_kernel("begun", 192, network)[1] != 0.0)
 
     # One that was killed before its first checkpoint begins so again.
     other = tmp_path / "other"
