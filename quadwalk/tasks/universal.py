@@ -15,7 +15,7 @@ from quadwalk.tasks import drive
 TASK = replace(
     drive.TASK,
     task="universal",
-    steps=75_000_000,
+    steps=110_000_000,
     env=replace(
         drive.TASK.env,
         action=ABOUT_STANDARD,
