@@ -15,7 +15,7 @@ from quadwalk.tasks import getup
 TASK = replace(
     getup.TASK,
     task="universal_getup",
-    steps=40_000_000,
+    steps=30_000_000,
     env=replace(
         getup.TASK.env,
         action=ActionMap(about_standard, {"hip": 0.8, "thigh": 2.0, "calf": 1.2}),
@@ -30,6 +30,4 @@ TASK = replace(
         unit_leg=0.5,
         bodies=BodiesConfig(number=512),
     ),
-    # Networks that get up already need less noise.
-    ppo=replace(getup.TASK.ppo, init_std=0.15),
 )
