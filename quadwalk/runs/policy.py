@@ -34,7 +34,7 @@ class SavedPolicy:
 
     statistics: NestedMeanStd  # (n,) of the observations
     weights: Any  # {"params": layers of a plain perceptron}
-    value: "SavedValue | None"  # None in files of before
+    value: SavedValue | None  # None in files of before
     config: TrainConfig
     joints: tuple[str, ...]  # of the robot it was trained on
     steps: int  # control steps of training behind it
