@@ -96,7 +96,30 @@ def load(path: Path | str, kind: str, like: Any = None) -> tuple[Any, dict[str, 
             leaves = _read_leaves(archive, header)
     except _DAMAGE as error:
         raise UserError(f"{path} is damaged or foreign: expected {_describe_kind(kind)}") from error
-    return (leaves if like is None else _fill_structure(path, leaves, like)), header["metadata"]
+    return (leaves if like is None else fill_structure(path, leaves, like)), header["metadata"]
+
+
+def fill_structure(path: Path, leaves: dict[str, np.ndarray], like: Any) -> Any:
+    """Put the leaves of the file `path` into the structure of `like`, as `load` does.
+
+    Raises `UserError` for what does not fit.
+    """
+    pairs, structure = _name_leaves(like)
+    expected = dict(pairs)
+    # States that version 0.1 saved have the acceleration that its contact solver started from.
+    leaves = {name: leaf for name, leaf in leaves.items() if not name.endswith("physics/warmstart")}
+    problems = [
+        f"it has no {name}, expected {_describe(leaf)}"
+        if name not in leaves
+        else f"{name} is {_describe(leaves[name])}, expected {_describe(leaf)}"
+        for name, leaf in expected.items()
+        if name not in leaves or _describe(leaves[name]) != _describe(leaf)
+    ]
+    problems += [f"it has {name}, which is not expected" for name in leaves if name not in expected]
+    if problems:
+        more = f" (and {len(problems) - 1} more differences)" if len(problems) > 1 else ""
+        raise UserError(f"{path} does not fit these settings: {problems[0]}{more}")
+    return structure.unflatten([leaves[name] for name in expected])
 
 
 def _describe_kind(kind: str) -> str:
@@ -147,26 +170,6 @@ def _read_member(archive: zipfile.ZipFile, name: str) -> bytes:
     if archive.getinfo(name).compress_type != zipfile.ZIP_STORED:
         raise ValueError("a compressed member")
     return archive.read(name)
-
-
-def _fill_structure(path: Path, leaves: dict[str, np.ndarray], like: Any) -> Any:
-    """Put the leaves into the structure of `like`; `UserError` for what does not fit."""
-    pairs, structure = _name_leaves(like)
-    expected = dict(pairs)
-    # States that version 0.1 saved have the acceleration that its contact solver started from.
-    leaves = {name: leaf for name, leaf in leaves.items() if not name.endswith("physics/warmstart")}
-    problems = [
-        f"it has no {name}, expected {_describe(leaf)}"
-        if name not in leaves
-        else f"{name} is {_describe(leaves[name])}, expected {_describe(leaf)}"
-        for name, leaf in expected.items()
-        if name not in leaves or _describe(leaves[name]) != _describe(leaf)
-    ]
-    problems += [f"it has {name}, which is not expected" for name in leaves if name not in expected]
-    if problems:
-        more = f" (and {len(problems) - 1} more differences)" if len(problems) > 1 else ""
-        raise UserError(f"{path} does not fit these settings: {problems[0]}{more}")
-    return structure.unflatten([leaves[name] for name in expected])
 
 
 def _describe(leaf: Any) -> str:

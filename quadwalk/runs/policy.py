@@ -77,7 +77,7 @@ def save_policy(
 
 def read_policy(path: Path) -> SavedPolicy:
     """Read a policy's file; raise a `UserError` that names one missing, damaged or foreign."""
-    # First without a structure, for what says what the structure is.
+    # Without a structure, for the file says what the structure is.
     leaves, metadata = checkpoint.load(path, "policy")
     try:
         config = restore_config(metadata["config"], Run(path.parent), str(path))
@@ -92,7 +92,7 @@ def read_policy(path: Path) -> SavedPolicy:
     if VALUE_MEAN in leaves:
         inputs = leaves[VALUE_MEAN].size
         like["value"] = SavedValue(*describe_network(inputs, config.ppo.hidden, 1))._asdict()
-    tree, _ = checkpoint.load(path, "policy", like)
+    tree = checkpoint.fill_structure(path, leaves, like)
     value = SavedValue(**tree["value"]) if "value" in tree else None
     return SavedPolicy(tree["normalizer"], tree["policy"], value, config, joints, steps, changed)
 
